@@ -1,0 +1,281 @@
+"""Many worlds of a task on ``mujoco.batch``, stepped on a pool of threads."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.seeds import Stream, episode_seeds
+from gdrl_tasks.task import NavigationTask, WorldIndex
+
+_logger = logging.getLogger(__name__)
+_DIVERGENCE_WARNINGS = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+_LARGEST_STATE = 1e6
+_WORLDS_PER_THREAD = 24
+"""Below this many worlds a second thread costs more than it saves."""
+
+
+class StepResult(NamedTuple):
+    """What one control step gave, for the ``K`` worlds that stepped."""
+
+    observation: np.ndarray
+    """``[K, D]``, float64."""
+    reward: np.ndarray
+    """``[K]``, float64."""
+    terminated: np.ndarray
+    """``[K]``, bool."""
+    truncated: np.ndarray
+    """``[K]``, bool."""
+    outcome: np.ndarray
+    """:class:`~gdrl_tasks.navigation.Outcome` integers ``[K]``."""
+
+
+class BatchSimulation:
+    """``W`` worlds of one task, each with its own episode.
+
+    Worlds that are not named in a call stay as they are and cost nothing. Results are
+    bit-identical at any number of threads.
+
+    Args:
+        task: The task.
+        num_worlds: Number of worlds ``W``.
+        num_threads: Threads of the simulation; 0 takes one per processor.
+        seed: Seed of the episodes that :meth:`reset` draws when it is given none.
+
+    Attributes:
+        arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
+
+    Raises:
+        ValueError: If ``num_worlds`` < 1 or ``num_threads`` < 0.
+
+    Examples:
+        >>> from gdrl_tasks import simulate
+        >>> worlds = simulate("water", num_worlds=2, sea="calm")
+        >>> worlds.reset().shape
+        (2, 3)
+        >>> worlds.step(np.zeros((2, 2))).outcome
+        array([0, 0])
+    """
+
+    def __init__(
+        self, task: NavigationTask, num_worlds: int, *, num_threads: int = 0, seed: int = 0
+    ) -> None:
+        if num_worlds < 1:
+            raise ValueError(f"num_worlds={num_worlds} must be >= 1")
+        if num_threads < 0:
+            raise ValueError(f"num_threads={num_threads} must be >= 0")
+        self.task = task
+        self.num_worlds = num_worlds
+        self.num_threads = num_threads or os.cpu_count() or 1
+        self.seed = seed
+        self.num_episodes_drawn = 0
+        self.model = mujoco.MjModel.from_xml_string(task.xml())
+        self.batch = Batch(self.model, num_worlds, self.num_threads)
+        self.arrays = task.allocate(num_worlds)
+        self.qpos = self.batch.bind("qpos")
+        self.qvel = self.batch.bind("qvel")
+        self._time = self.batch.bind("time")
+        self._xfrc = self.batch.bind("xfrc_applied")
+        self._all = np.arange(num_worlds)
+        self._pool: ThreadPoolExecutor | None = None
+        if self.num_threads > 1 and num_worlds > _WORLDS_PER_THREAD:
+            self._pool = ThreadPoolExecutor(self.num_threads - 1, "gdrl-forces")
+
+    def reset(
+        self, ids: WorldIndex | None = None, seeds: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Begin new episodes.
+
+        Args:
+            ids: The worlds, ``[K]``, or None for all.
+            seeds: Episode seeds ``[K]``; None draws the next ones of the training
+                stream.
+
+        Returns:
+            First observations, ``[K, D]``.
+
+        Raises:
+            ValueError: If ``seeds`` has another length than ``ids`` or a negative one.
+        """
+        ids = self._all if ids is None else np.asarray(ids, dtype=np.int64)
+        if seeds is None:
+            start = self.num_episodes_drawn
+            seeds = episode_seeds(Stream.TRAINING, self.seed, start, len(ids))
+            self.num_episodes_drawn += len(ids)
+        seeds = np.asarray(seeds, dtype=np.int64)
+        if seeds.shape != ids.shape:
+            raise ValueError(
+                f"seeds of shape {seeds.shape} must match the worlds, {ids.shape}"
+            )
+        if (seeds < 0).any():
+            raise ValueError(f"seeds={seeds.min()} must be >= 0")
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        # A population shares its episodes: each is drawn once.
+        unique, which = np.unique(seeds, return_inverse=True)
+        for number, seed in enumerate(unique):
+            rows = ids[which == number]
+            episode = self.task.draw_episode(int(seed))
+            self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
+            self.task.begin_episode(self.arrays, rows, episode, int(seed))
+        return self.observe(ids)
+
+    def step(self, action: np.ndarray, ids: WorldIndex | None = None) -> StepResult:
+        """Advance worlds by one control interval.
+
+        Args:
+            action: Commands in [-1, 1], ``[K, A]``, or indices of discrete actions,
+                ``[K]``. A world whose action is not finite diverges.
+            ids: The worlds, ``[K]``, or None for all.
+
+        Returns:
+            What the step gave, for those worlds.
+
+        Raises:
+            ValueError: If ``action`` has the wrong shape or a discrete action is out
+                of range.
+        """
+        ids = self._all if ids is None else np.asarray(ids, dtype=np.int64)
+        action = self._checked_action(action, len(ids))
+        finite = np.isfinite(action) if action.ndim == 1 else np.isfinite(action).all(1)
+        healthy = finite & self._state_is_sane(ids)
+        runnable = ids if healthy.all() else ids[healthy]
+        self.task.set_action(self.arrays, runnable, action[healthy])
+        before = self._count_warnings(ids)
+        with quiet_engine():
+            self._advance(runnable)
+        diverged = ~healthy | ~self._state_is_sane(ids)
+        diverged |= self._count_warnings(ids) > before
+        outcome_before = self.arrays["outcome"][ids]
+        reward = self.task.finish_step(self.arrays, ids, self.qpos[ids], diverged)
+        outcome = self.arrays["outcome"][ids]
+        if diverged.any():
+            self._report(ids[diverged & (outcome_before == Outcome.RUNNING)])
+        truncated = (outcome == Outcome.TIMEOUT) & self.task.truncates_at_limit
+        terminated = (outcome != Outcome.RUNNING) & ~truncated
+        return StepResult(self.observe(ids), reward, terminated, truncated, outcome)
+
+    def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
+        """Flat observations of worlds, ``[K, D]``."""
+        ids = self._all if ids is None else ids
+        named = self.task.observe(self.arrays, ids, self.qpos[ids], self.qvel[ids])
+        return np.concatenate(list(named.values()), axis=-1)
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that the future depends on, as a dict of arrays (copies)."""
+        state = {f"arrays.{name}": value.copy() for name, value in self.arrays.items()}
+        state["engine"] = self.batch.state.copy()
+        state["seed"] = np.array(self.seed)
+        state["num_episodes_drawn"] = np.array(self.num_episodes_drawn)
+        return state
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Return to a state of :meth:`get_state`.
+
+        Raises:
+            ValueError: If a field is missing, unknown or of another shape.
+        """
+        own = self.get_state()
+        if own.keys() != state.keys():
+            raise ValueError(f"fields of the state differ: {own.keys() ^ state.keys()}")
+        for name, value in own.items():
+            if np.shape(state[name]) != value.shape:
+                raise ValueError(
+                    f"{name} has shape {np.shape(state[name])}, expected {value.shape}"
+                )
+        for name in self.arrays:
+            self.arrays[name][...] = state[f"arrays.{name}"]
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.state[...] = state["engine"]
+        self.seed = int(state["seed"])
+        self.num_episodes_drawn = int(state["num_episodes_drawn"])
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def _advance(self, ids: WorldIndex) -> None:
+        if len(ids) == 0:
+            return
+        substeps = self.task.spec.num_substeps
+        if not self.task.has_substep_forces:
+            self.batch.step(ids, substeps)
+            return
+        chunks = self._chunks(ids)
+        for _ in range(substeps):
+            waiting = [self._pool.submit(self._force, chunk) for chunk in chunks[1:]]
+            self._force(chunks[0])
+            for future in waiting:
+                future.result()
+            self.batch.step(ids)
+
+    def _force(self, ids: WorldIndex) -> None:
+        self.task.apply_forces(
+            self.arrays, ids, self.qpos, self.qvel, self._time, self._xfrc
+        )
+
+    def _chunks(self, ids: WorldIndex) -> list[np.ndarray]:
+        if self._pool is None:
+            return [ids]
+        count = min(self.num_threads, max(1, len(ids) // _WORLDS_PER_THREAD))
+        return np.array_split(ids, count)
+
+    def _checked_action(self, action: Any, count: int) -> np.ndarray:
+        spec = self.task.spec
+        shape = (count,) if spec.is_discrete else (count, spec.action_size)
+        action = np.asarray(action)
+        if action.shape != shape:
+            raise ValueError(f"action of shape {action.shape} must have shape {shape}")
+        if spec.is_discrete and count:
+            low, high = action.min(), action.max()
+            if low < 0 or high >= spec.action_size:
+                worst = low if low < 0 else high
+                raise ValueError(f"action={worst} must be in [0, {spec.action_size})")
+        return action
+
+    def _state_is_sane(self, ids: WorldIndex) -> np.ndarray:
+        qpos, qvel = np.abs(self.qpos[ids]), np.abs(self.qvel[ids])
+        # Written so that NaN is not sane.
+        sane = (qpos.max(axis=1) < _LARGEST_STATE) & (qvel.max(axis=1) < _LARGEST_STATE)
+        return sane
+
+    def _count_warnings(self, ids: WorldIndex) -> np.ndarray:
+        return self.batch.warning[ids][:, _DIVERGENCE_WARNINGS, 1].sum(axis=1)
+
+    def _report(self, ids: WorldIndex) -> None:
+        for world in ids:
+            _logger.debug(
+                "world %d diverged in episode %d at step %d",
+                world,
+                self.arrays["episode_seed"][world],
+                self.arrays["steps"][world],
+            )
+
+
+@contextlib.contextmanager
+def quiet_engine() -> Iterator[None]:
+    """Send MuJoCo's warnings to our log: not to the terminal, nor to a file."""
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_log_warning)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+def _log_warning(message: str) -> None:
+    _logger.debug("MuJoCo: %s", message)

@@ -1,0 +1,163 @@
+"""A task as dm_control's ``control.Environment``: one world, a viewer, cameras."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from dm_control import mujoco
+from dm_control.rl import control
+from dm_control.suite import base
+from dm_env import specs
+
+from gdrl_tasks.batch import quiet_engine
+from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.task import NavigationTask
+
+_ONE_WORLD = np.zeros(1, dtype=np.int64)
+
+
+class TaskPhysics(mujoco.Physics):
+    """Physics that runs a callback before every substep and survives divergence."""
+
+    before_substep: Callable[[], None] | None = None
+    before_render: Callable[[], None] | None = None
+    diverged: bool = False
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance by substeps; a physics error sets ``diverged`` and is not raised."""
+        if self.diverged:
+            return
+        try:
+            with quiet_engine():
+                if self.before_substep is None:
+                    super().step(nstep)
+                else:
+                    for _ in range(nstep):
+                        self.before_substep()
+                        super().step(1)
+        except control.PhysicsError:
+            self.diverged = True
+
+    def render(self, *args: Any, **kwargs: Any) -> np.ndarray:
+        """Render, after the scenery was brought up to date."""
+        if self.before_render is not None:
+            self.before_render()
+        return super().render(*args, **kwargs)
+
+
+class SuiteTask(base.Task):
+    """A :class:`NavigationTask` in the form that ``control.Environment`` runs.
+
+    Attributes:
+        task: The task itself.
+        arrays: Its arrays, for one world.
+        next_episode_seed: Set it to choose the episode of the next reset.
+    """
+
+    def __init__(
+        self, task: NavigationTask, random: int | np.random.RandomState | None = None
+    ) -> None:
+        super().__init__(random=random)
+        self.task = task
+        self.arrays = task.allocate(1)
+        self.next_episode_seed: int | None = None
+        self._reward = 0.0
+
+    def initialize_episode(self, physics: TaskPhysics) -> None:
+        """Draw an episode and put the vehicle at its start."""
+        seed = self.next_episode_seed
+        if seed is None:
+            seed = int(self.random.randint(2**31 - 1))
+        self.next_episode_seed = None
+        episode = self.task.draw_episode(seed)
+        self.task.begin_episode(self.arrays, _ONE_WORLD, episode, seed)
+        physics.diverged = False
+        physics.data.qpos[:] = episode.qpos
+        physics.data.qvel[:] = episode.qvel
+        physics.data.mocap_pos[0, :2] = self.arrays["goal"][0]
+        if self.task.has_substep_forces:
+            physics.before_substep = lambda: self._apply_forces(physics)
+        physics.before_render = lambda: self.task.draw_scenery(physics, self.arrays)
+        super().initialize_episode(physics)
+
+    def before_step(self, action: Any, physics: TaskPhysics) -> None:
+        """Store the action; a world whose action is not finite diverges."""
+        action = np.asarray(action)
+        if not np.isfinite(action).all():
+            physics.diverged = True
+            return
+        if self.task.spec.is_discrete:
+            action = action.reshape(())
+        self.task.set_action(self.arrays, _ONE_WORLD, action[None])
+
+    def after_step(self, physics: TaskPhysics) -> None:
+        """Decide outcome and reward."""
+        qpos = physics.data.qpos[None]
+        diverged = np.array([physics.diverged or not np.isfinite(qpos).all()])
+        reward = self.task.finish_step(self.arrays, _ONE_WORLD, qpos, diverged)
+        self._reward = float(reward[0])
+
+    def action_spec(self, physics: TaskPhysics) -> specs.Array:
+        """Commands in [-1, 1], or a discrete choice."""
+        size = self.task.spec.action_size
+        if self.task.spec.is_discrete:
+            return specs.DiscreteArray(size, name="action")
+        return specs.BoundedArray((size,), np.float64, -1.0, 1.0, name="action")
+
+    def observation_spec(self, physics: TaskPhysics) -> OrderedDict[str, specs.Array]:
+        """Bounded arrays by name."""
+        observation = self.task.spec.observation.items()
+        return OrderedDict(
+            (name, specs.BoundedArray((size,), np.float64, low, high, name=name))
+            for name, (size, low, high) in observation
+        )
+
+    def get_observation(self, physics: TaskPhysics) -> OrderedDict[str, np.ndarray]:
+        """Named observations."""
+        qpos, qvel = physics.data.qpos[None], physics.data.qvel[None]
+        named = self.task.observe(self.arrays, _ONE_WORLD, qpos, qvel)
+        return OrderedDict((name, value[0].copy()) for name, value in named.items())
+
+    def get_reward(self, physics: TaskPhysics) -> float:
+        """Reward of the last control step."""
+        return self._reward
+
+    def get_termination(self, physics: TaskPhysics) -> float | None:
+        """None to go on; the discount at the end: 1 if truncated, else 0."""
+        if self.outcome == Outcome.RUNNING:
+            return None
+        truncated = self.outcome == Outcome.TIMEOUT and self.task.truncates_at_limit
+        return 1.0 if truncated else 0.0
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the episode so far."""
+        return Outcome(int(self.arrays["outcome"][0]))
+
+    def _apply_forces(self, physics: TaskPhysics) -> None:
+        data = physics.data
+        self.task.apply_forces(
+            self.arrays,
+            _ONE_WORLD,
+            data.qpos[None],
+            data.qvel[None],
+            np.array([data.time]),
+            data.xfrc_applied[None],
+        )
+
+
+def make_environment(
+    task: NavigationTask, *, random: int | np.random.RandomState | None = None
+) -> control.Environment:
+    """Make the dm_control environment of a task.
+
+    The step limit is the task's own: the environment has no time limit, because
+    ``control.Environment`` never asks for the termination of its last allowed step.
+    """
+    physics = TaskPhysics.from_xml_string(task.xml())
+    return control.Environment(
+        physics, SuiteTask(task, random), n_sub_steps=task.spec.num_substeps
+    )

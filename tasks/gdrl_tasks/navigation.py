@@ -1,0 +1,123 @@
+"""Goal geometry, outcomes and rewards shared by all navigation tasks.
+
+Pure functions of arrays with a leading world axis ``W``, for NumPy and torch alike
+(the array-API subset of both).
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Any
+
+from array_api_compat import array_namespace
+
+
+class Outcome(enum.IntEnum):
+    """How an episode ended; the integer is what simulations report per world."""
+
+    RUNNING = 0
+    SUCCESS = 1
+    COLLISION = 2
+    TIMEOUT = 3
+    DIVERGED = 4
+
+
+def goal_polar(position: Any, yaw: Any, goal: Any) -> tuple[Any, Any]:
+    """Goal in the vehicle's polar coordinates.
+
+    Args:
+        position: Vehicle positions in the world frame, metres, ``[W, 2]``.
+        yaw: Headings, radians, ``[W]``.
+        goal: Goal positions in the world frame, metres, ``[W, 2]``.
+
+    Returns:
+        Distance in metres ``[W]`` and bearing in radians ``[W]``, in [-pi, pi),
+        positive to the left.
+
+    Examples:
+        >>> import numpy as np
+        >>> goal_polar(np.zeros((1, 2)), np.zeros(1), np.array([[0.0, 2.0]]))
+        (array([2.]), array([1.57079633]))
+    """
+    xp = array_namespace(position, goal)
+    offset = goal - position
+    distance = xp.hypot(offset[..., 0], offset[..., 1])
+    bearing = xp.atan2(offset[..., 1], offset[..., 0]) - yaw
+    turn = 2.0 * xp.pi
+    return distance, bearing - turn * xp.floor(bearing / turn + 0.5)
+
+
+def segment_distance(start: Any, end: Any, point: Any) -> Any:
+    """Distance from a point to the segment swept by the vehicle.
+
+    Args:
+        start: Segment starts, metres, ``[W, 2]``.
+        end: Segment ends, metres, ``[W, 2]``; may equal ``start``.
+        point: Points, metres, ``[W, 2]``.
+
+    Returns:
+        Distances in metres, ``[W]``.
+
+    Examples:
+        >>> import numpy as np
+        >>> a, b = np.array([[0.0, 0.0]]), np.array([[2.0, 0.0]])
+        >>> segment_distance(a, b, np.array([[1.0, 0.5]]))
+        array([0.5])
+    """
+    xp = array_namespace(start, end, point)
+    along = end - start
+    offset = point - start
+    squared = xp.sum(along * along, axis=-1)
+    # A vehicle that does not move sweeps a point: any fraction will do.
+    safe = xp.where(squared > 0.0, squared, xp.ones_like(squared))
+    fraction = xp.clip(xp.sum(along * offset, axis=-1) / safe, 0.0, 1.0)
+    gap = offset - fraction[..., None] * along
+    return xp.hypot(gap[..., 0], gap[..., 1])
+
+
+def decide_outcome(reached: Any, collided: Any, timed_out: Any, diverged: Any) -> Any:
+    """One outcome per world from four masks ``[W]``, as :class:`Outcome` integers.
+
+    Divergence hides everything (its positions mean nothing); then the goal wins over
+    a collision and over a time limit met in the same control step.
+
+    Examples:
+        >>> import numpy as np
+        >>> yes, no = np.array([True]), np.array([False])
+        >>> decide_outcome(yes, no, yes, no)
+        array([1])
+    """
+    xp = array_namespace(reached)
+    outcome = xp.zeros(reached.shape, dtype=xp.int64)
+    for mask, value in (
+        (timed_out, Outcome.TIMEOUT),
+        (collided, Outcome.COLLISION),
+        (reached, Outcome.SUCCESS),
+        (diverged, Outcome.DIVERGED),
+    ):
+        outcome = xp.where(mask, xp.full_like(outcome, int(value)), outcome)
+    return outcome
+
+
+def success_weighted_path_length(success: Any, shortest: Any, path: Any) -> Any:
+    """SPL per episode: success times shortest over travelled length (Anderson et al.
+    2018, https://arxiv.org/abs/1807.06757).
+
+    Args:
+        success: Mask ``[W]``.
+        shortest: Shortest path that would have succeeded, metres, ``[W]``.
+        path: Path travelled, metres, ``[W]``.
+
+    Returns:
+        Values in [0, 1], ``[W]``.
+
+    Examples:
+        >>> import numpy as np
+        >>> one = np.ones(1)
+        >>> success_weighted_path_length(one > 0, 3 * one, 4 * one)
+        array([0.75])
+    """
+    xp = array_namespace(shortest, path)
+    longest = xp.maximum(shortest, path)
+    ratio = xp.where(longest > 0.0, shortest / xp.where(longest > 0.0, longest, 1.0), 1.0)
+    return xp.where(success, ratio, xp.zeros_like(ratio))

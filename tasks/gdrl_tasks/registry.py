@@ -1,0 +1,119 @@
+"""Tasks by name: ours, and those that other packages offer as entry points."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gdrl_tasks.batch import BatchSimulation
+from gdrl_tasks.task import NavigationTask
+from gdrl_tasks.water.task import WaterOptions, WaterTask
+
+if TYPE_CHECKING:
+    from dm_control.rl import control
+
+ENTRY_POINT_GROUP = "gdrl.tasks"
+
+
+@dataclasses.dataclass(frozen=True)
+class RegisteredTask:
+    """A task's name, its options (a dataclass) and what makes it from them.
+
+    A package offers one of these as an entry point in the group ``gdrl.tasks``.
+    """
+
+    name: str
+    options: type
+    make: Callable[[Any], NavigationTask]
+    tags: tuple[str, ...] = ()
+
+
+_BUILT_IN = (
+    RegisteredTask("water", WaterOptions, WaterTask, tags=("continuous", "discrete")),
+)
+
+
+@functools.cache
+def _registry() -> dict[str, RegisteredTask]:
+    tasks = {task.name: task for task in _BUILT_IN}
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        task = entry.load()
+        if task.name in tasks:
+            raise ValueError(f"task {task.name!r} is registered twice ({entry.value})")
+        tasks[task.name] = task
+    return tasks
+
+
+def task_names(tag: str | None = None) -> tuple[str, ...]:
+    """Names of all registered tasks, or of those with a tag.
+
+    Examples:
+        >>> "water" in task_names("continuous")
+        True
+    """
+    return tuple(n for n, task in _registry().items() if tag is None or tag in task.tags)
+
+
+def make_task(name: str, **options: Any) -> NavigationTask:
+    """Make a task from its name and options.
+
+    Raises:
+        ValueError: If the task or an option is unknown, or a value is out of range.
+
+    Examples:
+        >>> make_task("water", sea="rough").options.sea
+        'rough'
+    """
+    if name not in _registry():
+        raise ValueError(f"task={name!r} must be one of {sorted(_registry())}")
+    registered = _registry()[name]
+    known = {field.name for field in dataclasses.fields(registered.options)}
+    for option, value in options.items():
+        if option not in known:
+            raise ValueError(
+                f"unknown option {option}={value!r} of task {name!r}; "
+                f"options are {sorted(known)}"
+            )
+    return registered.make(registered.options(**options))
+
+
+def load(
+    name: str, *, random: int | np.random.RandomState | None = None, **options: Any
+) -> control.Environment:
+    """Load a task as a dm_control environment with one world.
+
+    Args:
+        name: One of :func:`task_names`.
+        random: Seed or state of the episodes, as in ``dm_control.suite``.
+        **options: Options of the task.
+
+    Examples:
+        >>> environment = load("water", random=0)
+        >>> sorted(environment.reset().observation)
+        ['goal_bearing', 'goal_distance', 'pitch']
+    """
+    # Imported here because dm_control takes a second to import.
+    from gdrl_tasks.dm_env import make_environment
+
+    return make_environment(make_task(name, **options), random=random)
+
+
+def simulate(
+    name: str, *, num_worlds: int, num_threads: int = 0, seed: int = 0, **options: Any
+) -> BatchSimulation:
+    """Make many worlds of a task on ``mujoco.batch``.
+
+    Args:
+        name: One of :func:`task_names`.
+        num_worlds: Number of worlds.
+        num_threads: Threads; 0 takes one per processor.
+        seed: Seed of the episodes drawn by ``reset()``.
+        **options: Options of the task.
+    """
+    task = make_task(name, **options)
+    return BatchSimulation(task, num_worlds, num_threads=num_threads, seed=seed)

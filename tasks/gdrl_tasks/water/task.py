@@ -1,0 +1,303 @@
+"""The water task: steer a twin-thruster vessel through waves to a goal."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Literal
+
+import numpy as np
+
+from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.water import waves
+from gdrl_tasks.water.hull import make_hull, model_xml
+from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
+
+DIFFICULTIES: dict[str, dict[str, Any]] = {
+    "near": {
+        "goal_distance_m": (2.0, 6.0),
+        "goal_tolerance_m": 0.3,
+        "sea": "lake",
+    },
+    "far": {
+        "goal_distance_m": (5.0, 15.0),
+        "goal_tolerance_m": 0.15,
+        "sea": "rough",
+    },
+}
+
+# Port and starboard commands of the seven discrete actions, hard right to hard left
+# (the seven of Marchesini et al. 2021, as thruster pairs).
+DISCRETE_COMMANDS = np.array(
+    [[1.0, -1.0], [1.0, 0.0], [1.0, 0.7], [1.0, 1.0], [0.7, 1.0], [0.0, 1.0], [-1.0, 1.0]]
+)
+
+EXTRA_OBSERVATIONS: dict[str, tuple[int, float, float]] = {
+    "velocity": (3, -10.0, 10.0),
+    "roll": (1, -math.pi, math.pi),
+    "time_left": (1, 0.0, 1.0),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class WaterOptions:
+    """Options of the water task; ``None`` means what ``difficulty`` says."""
+
+    difficulty: Literal["near", "far"] = "near"
+    goal_distance_m: tuple[float, float] | None = None
+    """Range of the goal's distance from the start; its bearing is anything."""
+    goal_tolerance_m: float | None = None
+    sea: Literal["calm", "lake", "rough"] | None = None
+    significant_wave_height_m: float | None = None
+    """Fixes Hs in every episode; ``None`` draws it from the sea's lake conditions."""
+    peak_period_s: float | None = None
+    """Fixes Tp in every episode; ``None`` draws it from the sea's lake conditions."""
+    current_m_s: float = 0.0
+    """Speed of a steady current; its direction is drawn per episode."""
+    reward: Literal["sparse", "dense"] = "sparse"
+    """``dense`` adds progress towards the goal in metres."""
+    at_limit: Literal["terminated", "truncated"] = "terminated"
+    """Whether the step limit is part of the task (-1) or cuts the episode off."""
+    actions: Literal["continuous", "discrete"] = "continuous"
+    dead_zone_compensated: bool = False
+    extra_observations: tuple[str, ...] = ()
+    """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
+    control_interval_s: float = 0.25
+    substep_s: float = 0.025
+    step_limit: int = 160
+    wave_components: int = 12
+
+    def __post_init__(self) -> None:
+        _check_choice("difficulty", self.difficulty, DIFFICULTIES)
+        for name, value in DIFFICULTIES[self.difficulty].items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        _check_choice("sea", self.sea, waves.SEAS)
+        _check_choice("reward", self.reward, ("sparse", "dense"))
+        _check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
+        _check_choice("actions", self.actions, ("continuous", "discrete"))
+        object.__setattr__(self, "extra_observations", tuple(self.extra_observations))
+        for name in self.extra_observations:
+            _check_choice("extra_observations", name, EXTRA_OBSERVATIONS)
+        low, high = self.goal_distance_m or (0.0, 0.0)
+        object.__setattr__(self, "goal_distance_m", (float(low), float(high)))
+        if not 0.0 < low <= high < math.inf:
+            raise ValueError(
+                f"goal_distance_m={self.goal_distance_m} must be 0 < nearest <= farthest"
+            )
+        _check_range("goal_tolerance_m", self.goal_tolerance_m, above=0.0)
+        if self.goal_tolerance_m >= low:
+            raise ValueError(
+                f"goal_tolerance_m={self.goal_tolerance_m} must be below the nearest "
+                f"goal, goal_distance_m={self.goal_distance_m}"
+            )
+        if self.significant_wave_height_m is not None:
+            _check_range(
+                "significant_wave_height_m",
+                self.significant_wave_height_m,
+                least=0.0,
+                most=2.0,
+            )
+        if self.peak_period_s is not None:
+            _check_range("peak_period_s", self.peak_period_s, least=0.4, most=1e5)
+        _check_range("current_m_s", self.current_m_s, least=0.0, most=5.0)
+        _check_range("control_interval_s", self.control_interval_s, above=0.0, most=10.0)
+        _check_range("substep_s", self.substep_s, above=0.0, most=0.1)
+        ratio = self.control_interval_s / self.substep_s
+        if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise ValueError(
+                f"control_interval_s={self.control_interval_s} must be a multiple of "
+                f"substep_s={self.substep_s}"
+            )
+        _check_range("step_limit", self.step_limit, least=1)
+        _check_range("wave_components", self.wave_components, least=1, most=1000)
+
+
+class WaterTask(NavigationTask):
+    """A vessel in waves; see the README of this folder for the model and its sources.
+
+    Examples:
+        >>> task = WaterTask(WaterOptions(sea="calm"))
+        >>> task.spec.observation_size, task.spec.num_substeps
+        (3, 10)
+    """
+
+    name = "water"
+    has_substep_forces = True
+
+    def __init__(self, options: WaterOptions | None = None) -> None:
+        self.options = options = options or WaterOptions()
+        self.hull = make_hull()
+        self.goal_tolerance_m = options.goal_tolerance_m
+        self.progress_weight = 1.0 if options.reward == "dense" else 0.0
+        self.truncates_at_limit = options.at_limit == "truncated"
+        observation = {
+            "goal_distance": (1, 0.0, 10.0),
+            "goal_bearing": (1, -1.0, 1.0),
+            "pitch": (1, -0.5 * math.pi, 0.5 * math.pi),
+        }
+        for extra in options.extra_observations:
+            observation[extra] = EXTRA_OBSERVATIONS[extra]
+        farthest = options.goal_distance_m[1]
+        is_discrete = options.actions == "discrete"
+        self.spec = TaskSpec(
+            observation=observation,
+            action_size=len(DISCRETE_COMMANDS) if is_discrete else 2,
+            is_discrete=is_discrete,
+            control_interval_s=options.control_interval_s,
+            substep_s=options.substep_s,
+            step_limit=options.step_limit,
+            reward_range=(
+                -1.0 - farthest * self.progress_weight,
+                1.0 + farthest * self.progress_weight,
+            ),
+        )
+        self._constants = hull_constants(self.hull)
+
+    @property
+    def distance_scale_m(self) -> float:
+        """The farthest goal is observed at distance 1."""
+        return self.options.goal_distance_m[1]
+
+    @property
+    def rest_height_m(self) -> float:
+        """Height of the centre of gravity over still water when afloat."""
+        return -self.hull.points[0, 2] - 0.5 * self.hull.draft_m
+
+    def xml(self) -> str:
+        """The hull, a goal marker and a drawn sea."""
+        extent = self.options.goal_distance_m[1] + 2.0
+        return model_xml(self.hull, substep_s=self.spec.substep_s, sea_extent_m=extent)
+
+    def extra_arrays(self, num_worlds: int) -> WorldArrays:
+        """Sea, current and thrusters."""
+        shape = (num_worlds, self.options.wave_components)
+        arrays = {name: np.zeros(shape) for name in waves.SEA_FIELDS}
+        for name in ("current", "thrust", "command"):
+            arrays[name] = np.zeros((num_worlds, 2))
+        for name in ("significant_wave_height", "peak_period", "wave_direction"):
+            arrays[name] = np.zeros(num_worlds)
+        return arrays
+
+    def draw_episode(self, seed: int) -> Episode:
+        """A start at the origin with any heading, a goal, a sea and a current."""
+        options = self.options
+        generator = np.random.default_rng(seed)
+        heading, bearing, direction, current = generator.uniform(-math.pi, math.pi, 4)
+        distance = generator.uniform(*options.goal_distance_m)
+        height, period = self._draw_sea_state(generator)
+        sea = waves.draw_sea(
+            generator,
+            height_m=height,
+            period_s=period,
+            direction_rad=direction,
+            num_components=options.wave_components,
+            shortest_wave_m=2.0 * self.hull.spacing_m,
+            depth_m=0.5 * self.hull.draft_m,
+        )
+        arrays = sea | {
+            "goal": distance * np.array([math.cos(bearing), math.sin(bearing)]),
+            "current": options.current_m_s
+            * np.array([math.cos(current), math.sin(current)]),
+            "significant_wave_height": height,
+            "peak_period": period,
+            "wave_direction": direction,
+        }
+        surface = float(np.sum(sea["amplitude"] * np.cos(sea["phase"])))
+        qpos = np.zeros(7)
+        qpos[2] = surface + self.rest_height_m
+        qpos[3], qpos[6] = math.cos(0.5 * heading), math.sin(0.5 * heading)
+        return Episode(qpos=qpos, qvel=np.zeros(6), arrays=arrays)
+
+    def _draw_sea_state(self, generator: np.random.Generator) -> tuple[float, float]:
+        preset = waves.SEAS[self.options.sea]
+        wind, fetch = generator.uniform(size=2)
+        if preset is None:
+            height, period = 0.0, 1.0
+        else:
+            low, high = preset.wind_m_s
+            wind = low + (high - low) * wind
+            low, high = preset.fetch_m
+            height, period = waves.fetch_limited_sea(wind, low * (high / low) ** fetch)
+        if self.options.significant_wave_height_m is not None:
+            height = self.options.significant_wave_height_m
+        return height, self.options.peak_period_s or period
+
+    def set_action(self, arrays: WorldArrays, ids: WorldIndex, action: Any) -> None:
+        """Thruster commands in [-1, 1], ``[K, 2]``, or indices of the seven, ``[K]``."""
+        if self.spec.is_discrete:
+            arrays["command"][ids] = DISCRETE_COMMANDS[np.asarray(action, dtype=np.int64)]
+        else:
+            arrays["command"][ids] = np.clip(action, -1.0, 1.0)
+
+    def apply_forces(
+        self,
+        arrays: WorldArrays,
+        ids: WorldIndex,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        time_s: np.ndarray,
+        xfrc_applied: np.ndarray,
+    ) -> None:
+        """Water and thrusters; ``xfrc_applied`` is ``[W, bodies, 6]``, the hull last."""
+        substep(
+            ids,
+            qpos,
+            qvel,
+            time_s,
+            xfrc_applied[:, -1],
+            arrays["thrust"],
+            arrays["command"],
+            arrays["current"],
+            sea_arrays(arrays),
+            self._constants,
+            self.spec.substep_s,
+            self.options.dead_zone_compensated,
+        )
+
+    def planar_pose(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position ``[K, 2]`` and heading ``[K]`` of the hull."""
+        w, x, y, z = qpos[:, 3:7].T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return qpos[:, :2], yaw
+
+    def observe_extra(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Pitch (radians, bow down positive) and the options."""
+        w, x, y, z = qpos[:, 3:7].T
+        values = {"pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))}
+        extras = self.options.extra_observations
+        if "roll" in extras:
+            values["roll"] = np.arctan2(
+                2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)
+            )
+        if "velocity" in extras:
+            _, yaw = self.planar_pose(qpos)
+            ahead = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
+            left = qvel[:, 1] * np.cos(yaw) - qvel[:, 0] * np.sin(yaw)
+            values["velocity"] = np.stack([ahead, left, qvel[:, 5]], axis=-1)
+        if "time_left" in extras:
+            values["time_left"] = 1.0 - arrays["steps"][ids] / self.spec.step_limit
+        return values
+
+
+def _check_choice(name: str, value: Any, choices: Any) -> None:
+    if value not in choices:
+        raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
+
+
+def _check_range(
+    name: str,
+    value: float,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+) -> None:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not number or not (above < value and least <= value <= most) or value == math.inf:
+        bounds = [f"> {above}"] if above > -math.inf else []
+        bounds += [f">= {least}"] if least > -math.inf else []
+        bounds += [f"<= {most}"] if most < math.inf else []
+        raise ValueError(f"{name}={value!r} must be {' and '.join(bounds)}")

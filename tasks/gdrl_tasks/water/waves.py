@@ -1,0 +1,219 @@
+"""A directional sea of long-crested components: spectrum, draw and kinematics.
+
+Every component has its own direction, drawn from a spreading function, so that no two
+components share a frequency and the surface is the same statistically everywhere
+(single summation; Jefferys 1987, Applied Ocean Research 9).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+GRAVITY_M_S2 = 9.81
+_PEAK_ENHANCEMENT = 3.3
+_SPECTRUM_GRID = 4000
+_HIGHEST_RATIO = 12.0
+SEA_FIELDS = ("amplitude", "wavenumber_x", "wavenumber_y", "omega", "phase", "decay")
+
+
+@dataclasses.dataclass(frozen=True)
+class SeaPreset:
+    """Range of winds and fetches that a sea's episodes are drawn from."""
+
+    wind_m_s: tuple[float, float]
+    fetch_m: tuple[float, float]
+
+
+SEAS: dict[str, SeaPreset | None] = {
+    "calm": None,
+    "lake": SeaPreset(wind_m_s=(3.0, 6.0), fetch_m=(500.0, 2000.0)),
+    "rough": SeaPreset(wind_m_s=(6.0, 9.0), fetch_m=(1000.0, 3000.0)),
+}
+
+
+def fetch_limited_sea(wind_m_s: float, fetch_m: float) -> tuple[float, float]:
+    """Significant height (m) and peak period (s) of a fetch-limited lake sea.
+
+    g Hs/U^2 = 0.0016 (g F/U^2)^(1/2), g Tp/U = 0.286 (g F/U^2)^(1/3) (Coastal
+    Engineering Manual's deep-water form).
+
+    Examples:
+        >>> height, period = fetch_limited_sea(5.0, 500.0)
+        >>> round(height, 3), round(period, 2)
+        (0.057, 0.85)
+    """
+    fetch = GRAVITY_M_S2 * fetch_m / wind_m_s**2
+    height = 0.0016 * math.sqrt(fetch) * wind_m_s**2 / GRAVITY_M_S2
+    return height, 0.286 * fetch ** (1.0 / 3.0) * wind_m_s / GRAVITY_M_S2
+
+
+def jonswap(omega: Any, height_m: float, period_s: float) -> Any:
+    """JONSWAP variance density S(omega), m^2 s/rad, peak enhancement 3.3.
+
+    Hasselmann et al. 1973, in the form S = 5/16 Hs^2 wp^4 w^-5 exp(-5/4 (wp/w)^4)
+    gamma^b (1 - 0.287 ln gamma).
+
+    Args:
+        omega: Angular frequencies, rad/s, any shape, > 0.
+        height_m: Significant wave height Hs.
+        period_s: Peak period Tp.
+
+    Examples:
+        >>> import numpy as np
+        >>> w = np.linspace(1.0, 80.0, 40_000)
+        >>> variance = np.trapezoid(jonswap(w, 0.1, 1.0), w)
+        >>> round(float(4 * np.sqrt(variance)), 2)
+        0.1
+    """
+    xp = array_namespace(omega)
+    peak = 2.0 * math.pi / period_s
+    width = xp.where(omega <= peak, xp.full_like(omega, 0.07), xp.full_like(omega, 0.09))
+    exponent = xp.exp(-((omega - peak) ** 2) / (2.0 * width**2 * peak**2))
+    scale = 1.0 - 0.287 * math.log(_PEAK_ENHANCEMENT)
+    shape = omega**-5.0 * xp.exp(-1.25 * (peak / omega) ** 4)
+    return 0.3125 * height_m**2 * peak**4 * scale * shape * _PEAK_ENHANCEMENT**exponent
+
+
+@functools.cache
+def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequency ratios w/wp and the running moments m0 and m-1 of the unit spectrum."""
+    ratio = np.linspace(0.3, _HIGHEST_RATIO, _SPECTRUM_GRID)
+    density = jonswap(ratio, 1.0, 2.0 * math.pi)
+    step = ratio[1] - ratio[0]
+
+    def running(values: np.ndarray) -> np.ndarray:
+        middle = 0.5 * (values[1:] + values[:-1]) * step
+        return np.concatenate([[0.0], np.cumsum(middle)])
+
+    return ratio, running(density), running(density / ratio)
+
+
+def energy_period(period_s: float) -> float:
+    """Energy period Te = m-1/m0 (times 2 pi) of a JONSWAP sea with peak period Tp, s."""
+    _, zeroth, minus_first = _cumulative_moments()
+    return period_s * float(minus_first[-1] / zeroth[-1])
+
+
+def draw_sea(
+    generator: np.random.Generator,
+    *,
+    height_m: float,
+    period_s: float,
+    direction_rad: float,
+    num_components: int,
+    shortest_wave_m: float,
+    depth_m: float,
+) -> dict[str, np.ndarray]:
+    """Draw one episode's wave components.
+
+    The spectrum up to the cut-off is split into bins of equal energy; each bin becomes
+    one component at the frequency that keeps the bin's m-1, so height and energy period
+    of the sum are those of the spectrum. Energy beyond the cut-off (waves the hull
+    points cannot resolve) is spread over the components by scaling their heights.
+
+    Args:
+        generator: Source of the directions and phases.
+        height_m: Significant wave height Hs, >= 0; 0 is a flat sea.
+        period_s: Peak period Tp, > 0.
+        direction_rad: Mean direction of travel in the world frame.
+        num_components: Number ``C`` of components.
+        shortest_wave_m: Cut-off wavelength.
+        depth_m: Depth under the instantaneous surface at which ``decay`` holds.
+
+    Returns:
+        Arrays ``[C]``: ``amplitude`` (m), ``wavenumber_x`` and ``wavenumber_y``
+        (rad/m), ``omega`` (rad/s), ``phase`` (rad), ``decay`` (orbital velocity at
+        ``depth_m`` relative to the surface).
+    """
+    ratio, zeroth, minus_first = _cumulative_moments()
+    peak = 2.0 * math.pi / period_s
+    highest = math.sqrt(GRAVITY_M_S2 * 2.0 * math.pi / shortest_wave_m) / peak
+    total = np.interp(highest, ratio, zeroth)
+    edges = np.interp(np.linspace(0.0, total, num_components + 1), zeroth, ratio)
+    below = np.interp(edges, ratio, minus_first)
+    omega = peak * (total / num_components) / np.diff(below)
+    # cos^2 spreading on each side of the mean direction, by its inverse distribution.
+    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 181)
+    share = 0.5 + (angle + 0.5 * np.sin(2.0 * angle)) / math.pi
+    direction = direction_rad + np.interp(generator.random(num_components), share, angle)
+    wavenumber = omega**2 / GRAVITY_M_S2
+    amplitude = height_m / 4.0 * math.sqrt(2.0 / num_components)
+    return {
+        "amplitude": np.full(num_components, amplitude),
+        "wavenumber_x": wavenumber * np.cos(direction),
+        "wavenumber_y": wavenumber * np.sin(direction),
+        "omega": omega,
+        "phase": generator.uniform(0.0, 2.0 * math.pi, num_components),
+        "decay": np.exp(-wavenumber * depth_m),
+    }
+
+
+def wave_phase(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
+    """Phases of all components at points.
+
+    Args:
+        sea: Component arrays ``[W, C]`` by :data:`SEA_FIELDS`.
+        x: World x of the points, metres, ``[W, K]``.
+        y: World y of the points, metres, ``[W, K]``.
+        time_s: Times, seconds, ``[W]``.
+
+    Returns:
+        Phases in radians, ``[W, K, C]``.
+    """
+    moving = sea["phase"] - sea["omega"] * time_s[..., None]
+    return (
+        x[..., None] * sea["wavenumber_x"][..., None, :]
+        + y[..., None] * sea["wavenumber_y"][..., None, :]
+        + moving[..., None, :]
+    )
+
+
+def elevation(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
+    """Height of the surface over still water at points, metres, ``[W, K]``.
+
+    Arguments as in :func:`wave_phase`.
+    """
+    phase = wave_phase(sea, x, y, time_s)
+    xp = array_namespace(phase)
+    return xp.sum(sea["amplitude"][..., None, :] * xp.cos(phase), axis=-1)
+
+
+def orbital_velocity(sea: dict[str, Any], x: Any, y: Any, z: Any, time_s: Any) -> Any:
+    """Water velocity below the surface, by linear theory with Wheeler stretching.
+
+    Wheeler (1970) keeps the profile hung from the instantaneous surface: in deep water
+    the decay is exp(k (z - elevation)).
+
+    Args:
+        sea: Component arrays ``[W, C]``.
+        x: World x of the points, metres, ``[W, K]``.
+        y: World y of the points, metres, ``[W, K]``.
+        z: World z of the points, metres, ``[W, K]``; above the surface counts as at it.
+        time_s: Times, seconds, ``[W]``.
+
+    Returns:
+        Velocities in the world frame, m/s, ``[W, K, 3]``.
+    """
+    phase = wave_phase(sea, x, y, time_s)
+    xp = array_namespace(phase)
+    kx, ky = sea["wavenumber_x"][..., None, :], sea["wavenumber_y"][..., None, :]
+    amplitude, omega = sea["amplitude"][..., None, :], sea["omega"][..., None, :]
+    surface = xp.sum(amplitude * xp.cos(phase), axis=-1)
+    depth = xp.clip(surface - z, 0.0, None)
+    wavenumber = xp.hypot(kx, ky)
+    speed = amplitude * omega * xp.exp(-wavenumber * depth[..., None])
+    horizontal = speed * xp.cos(phase) / wavenumber
+    return xp.stack(
+        [
+            xp.sum(horizontal * kx, axis=-1),
+            xp.sum(horizontal * ky, axis=-1),
+            xp.sum(speed * xp.sin(phase), axis=-1),
+        ],
+        axis=-1,
+    )
