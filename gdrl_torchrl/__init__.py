@@ -1,0 +1,1 @@
+"""Genetic Deep Reinforcement Learning as a kit of TorchRL components."""

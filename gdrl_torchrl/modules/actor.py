@@ -1,0 +1,90 @@
+"""Actors and critics for continuous actions."""
+
+from __future__ import annotations
+
+import torch
+from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
+from torch import nn
+from torchrl.data import Bounded
+from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+
+from gdrl_torchrl import keys
+
+
+def make_tanh_normal_actor(
+    observation_size: int,
+    action_spec: Bounded,
+    *,
+    num_cells: tuple[int, ...] = (32, 32),
+    activation: type[nn.Module] = nn.Tanh,
+    initial_std: float = 1.0,
+) -> ProbabilisticActor:
+    """Make a squashed Gaussian policy with a state-independent standard deviation.
+
+    Args:
+        observation_size: Length ``D`` of the observation.
+        action_spec: Spec of one world's action, ``[A]`` (no batch dimension).
+        num_cells: Widths of the hidden layers.
+        activation: Activation of the hidden layers.
+        initial_std: Initial standard deviation before squashing.
+
+    Returns:
+        An actor that reads ``observation`` and writes ``loc``, ``scale``, ``action``
+        and ``action_log_prob``; deterministic under ``ExplorationType.DETERMINISTIC``.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> spec = Bounded(-1, 1, shape=(2,))
+        >>> actor = make_tanh_normal_actor(3, spec)
+        >>> actor(TensorDict(observation=torch.zeros(5, 3), batch_size=[5]))["action"].shape
+        torch.Size([5, 2])
+    """
+    size = action_spec.shape[-1]
+    network = nn.Sequential(
+        MLP(
+            in_features=observation_size,
+            out_features=size,
+            num_cells=list(num_cells),
+            activation_class=activation,
+        ),
+        AddStateIndependentNormalScale(size, scale_mapping="exp", scale_lb=1e-3),
+    )
+    with torch.no_grad():
+        network[-1].state_independent_scale.fill_(float(torch.tensor(initial_std).log()))
+    return ProbabilisticActor(
+        TensorDictModule(network, in_keys=[keys.OBSERVATION], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        spec=action_spec,
+        distribution_class=TanhNormal,
+        distribution_kwargs={
+            "low": action_spec.space.low,
+            "high": action_spec.space.high,
+            "tanh_loc": False,
+        },
+        return_log_prob=True,
+    )
+
+
+def make_value_network(
+    observation_size: int,
+    *,
+    num_cells: tuple[int, ...] = (64, 64),
+    activation: type[nn.Module] = nn.Tanh,
+) -> ValueOperator:
+    """Make a state-value network that reads ``observation`` and writes ``state_value``.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> critic = make_value_network(3)
+        >>> critic(TensorDict(observation=torch.zeros(5, 3), batch_size=[5]))[
+        ...     "state_value"
+        ... ].shape
+        torch.Size([5, 1])
+    """
+    network = MLP(
+        in_features=observation_size,
+        out_features=1,
+        num_cells=list(num_cells),
+        activation_class=activation,
+    )
+    return ValueOperator(network, in_keys=[keys.OBSERVATION])

@@ -1,0 +1,379 @@
+"""``PopulationEvaluator``: the one place where parameters become fitness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import torch
+from gdrl_tasks import Stream, episode_seeds
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torchrl.envs import EnvBase, Transform
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from gdrl_torchrl import keys
+from gdrl_torchrl.modules.population_actor import PopulationActor
+
+Fitness = Literal["goals", "return"] | Callable[[TensorDictBase], torch.Tensor]
+
+
+class PopulationEvaluator(Transform):
+    """Evaluate ``P`` members of an actor's family over the same ``S`` episodes.
+
+    On an environment's step path the transform is the identity; :meth:`evaluate` (or
+    calling the transform on a tensordict that holds ``params``) rolls the population
+    out. All members and episodes run as one batch of worlds; a population that needs
+    more worlds than there are runs in chunks. Every evaluation draws fresh episodes,
+    the same for every member, and a member's score is over the first ``S`` episodes
+    that it began, however long they last.
+
+    An environment without a batch (a stock dm_control or Gymnasium one) is run
+    serially: member by member, episode by episode, its seed set before each reset.
+
+    Args:
+        actor: The actor whose family is evaluated; it is not modified, and not a
+            submodule.
+        num_episodes: Episodes ``S`` per member.
+        create_env_fn: Makes the environment to evaluate in; None takes the parent
+            environment, which must not be stepped by a collector at the same time.
+        max_steps: Steps after which an episode is cut off; None waits for its end.
+        fitness: ``goals`` (episodes that ended in success), ``return`` (mean return)
+            or a function of the result ``[P]`` giving ``[P]``.
+        seed: Seed of the fitness episodes.
+        episode_seeding: ``reset`` passes ``episode_seed=`` to the environment's reset,
+            ``set_seed`` seeds an environment before each reset, ``none`` leaves it
+            alone; ``auto`` takes ``reset`` if the environment's worlds have seeds of
+            their own and ``set_seed`` otherwise.
+        exploration_type: How the members act.
+        params_key: Where :meth:`forward` finds the population.
+        success_key: Flag of the environment that marks success, read at the end of an
+            episode.
+        inverse: Whether to evaluate on a replay buffer's ``extend``.
+
+    Raises:
+        ValueError: If ``num_episodes`` < 1 or ``max_steps`` < 1.
+
+    Examples:
+        >>> from gdrl_tasks import make_task
+        >>> from gdrl_torchrl.envs.navigation import NavigationEnv
+        >>> from gdrl_torchrl.evolution.genome import genome_of, stack_copies
+        >>> from gdrl_torchrl.modules.actor import make_tanh_normal_actor
+        >>> env = NavigationEnv(make_task("water", step_limit=5), num_worlds=6)
+        >>> actor = make_tanh_normal_actor(3, env.full_action_spec_unbatched["action"])
+        >>> evaluator = PopulationEvaluator(actor, num_episodes=2, create_env_fn=lambda: env)
+        >>> result = evaluator.evaluate(stack_copies(genome_of(actor), 3))
+        >>> result["steps"].tolist()
+        [[5, 5], [5, 5], [5, 5]]
+    """
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        *,
+        num_episodes: int = 10,
+        create_env_fn: Callable[[], EnvBase] | None = None,
+        max_steps: int | None = None,
+        fitness: Fitness = "goals",
+        seed: int = 0,
+        episode_seeding: Literal["auto", "reset", "set_seed", "none"] = "auto",
+        exploration_type: ExplorationType = ExplorationType.DETERMINISTIC,
+        params_key: NestedKey = keys.PARAMS,
+        success_key: NestedKey = keys.SUCCESS,
+        inverse: bool = False,
+    ) -> None:
+        if num_episodes < 1:
+            raise ValueError(f"num_episodes={num_episodes} must be >= 1")
+        if max_steps is not None and max_steps < 1:
+            raise ValueError(f"max_steps={max_steps} must be >= 1")
+        if fitness not in ("goals", "return") and not callable(fitness):
+            raise ValueError(f"fitness={fitness!r} must be 'goals', 'return' or callable")
+        # No in_keys: a transform with keys would have to transform them on every step.
+        super().__init__()
+        # Kept out of the module tree: TransformedEnv would put the policy in eval mode
+        # and the environment's state_dict would hold it.
+        self.__dict__["population"] = PopulationActor(actor)
+        self.num_episodes = num_episodes
+        self.max_steps = max_steps
+        self.fitness = fitness
+        self.seed = seed
+        self.num_evaluations = 0
+        self.episode_seeding = episode_seeding
+        self.exploration_type = exploration_type
+        self.params_key = params_key
+        self.success_key = success_key
+        self.inverse = inverse
+        self._create_env_fn = create_env_fn
+        self.__dict__["_own_env"] = None
+
+    # The step path: nothing happens.
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self.forward(tensordict) if self.inverse else tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Evaluate the population under ``params`` and add the scores.
+
+        Args:
+            tensordict: ``[P]`` with parameters under ``params_key``. Without them it
+                is returned as it is, as on a replay buffer that holds transitions.
+
+        Returns:
+            The same tensordict with the entries of :meth:`evaluate`.
+        """
+        params = tensordict.get(self.params_key, None)
+        if params is None:
+            return tensordict
+        return tensordict.update(self.evaluate(params))
+
+    @property
+    def env(self) -> EnvBase:
+        """The environment that members are evaluated in.
+
+        Raises:
+            RuntimeError: If there is none.
+        """
+        if self._create_env_fn is not None:
+            if self.__dict__["_own_env"] is None:
+                self.__dict__["_own_env"] = self._create_env_fn()
+            return self.__dict__["_own_env"]
+        parent = self.parent
+        if parent is None:
+            raise RuntimeError(
+                "PopulationEvaluator needs an environment: pass create_env_fn or append "
+                "it to one"
+            )
+        return parent
+
+    def close(self) -> None:
+        """Close the evaluator's own environment."""
+        env = self.__dict__["_own_env"]
+        if env is not None and not env.is_closed:
+            env.close()
+        self.__dict__["_own_env"] = None
+
+    @torch.no_grad()
+    def evaluate(
+        self, params: TensorDictBase, *, seeds: torch.Tensor | None = None
+    ) -> TensorDictBase:
+        """Score a population.
+
+        Args:
+            params: Genomes ``[P]``, as :func:`~gdrl_torchrl.evolution.genome.genome_of`
+                names them.
+            seeds: Episode seeds ``[S]``, int64; None draws fresh ones.
+
+        Returns:
+            A tensordict ``[P]``: ``fitness``, ``success_rate``, ``return_mean`` and
+            ``frames`` (environment steps) ``[P]``; ``successes``, ``returns``,
+            ``steps`` and, if the environment tells, ``outcomes`` ``[P, S]``. A member
+            whose policy gave a number that is not finite has fitness NaN.
+        """
+        return self._evaluate(params, seeds, keep_transitions=False)[0]
+
+    @torch.no_grad()
+    def evaluate_with_transitions(
+        self, params: TensorDictBase, *, seeds: torch.Tensor | None = None
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        """As :meth:`evaluate`, with every transition of the evaluation.
+
+        Returns:
+            The scores ``[P]`` and the transitions ``[N]`` of all episodes, each whole
+            and in order, with ``member`` and ``episode`` (int64) beside the
+            environment's keys.
+        """
+        scores, transitions = self._evaluate(params, seeds, keep_transitions=True)
+        return scores, transitions
+
+    def _evaluate(
+        self, params: TensorDictBase, seeds: torch.Tensor | None, *, keep_transitions: bool
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        env, count = self.env, params.batch_size[0]
+        if seeds is None:
+            start = self.num_evaluations * self.num_episodes
+            seeds = torch.from_numpy(
+                episode_seeds(Stream.FITNESS, self.seed, start, self.num_episodes)
+            )
+            self.num_evaluations += 1
+        seeds = torch.as_tensor(seeds, dtype=torch.int64)
+        scores = _empty_scores(count, len(seeds))
+        log: list[TensorDictBase] = []
+        worlds = env.batch_size.numel()
+        trials = min(len(seeds), worlds)
+        members = max(1, worlds // trials)
+        try:
+            with set_exploration_type(self.exploration_type):
+                for first in range(0, count, members):
+                    rows = slice(first, min(first + members, count))
+                    self.population.load(params[rows])
+                    for begin in range(0, len(seeds), trials):
+                        columns = slice(begin, min(begin + trials, len(seeds)))
+                        part = scores[rows, columns]
+                        _Rollout(self, env, part, seeds[columns]).run(
+                            log if keep_transitions else None, (first, begin)
+                        )
+        finally:
+            self.population.unload()
+        return self._summary(scores, env), _ordered(log)
+
+    def _summary(self, scores: TensorDictBase, env: EnvBase) -> TensorDictBase:
+        result = TensorDict(
+            {
+                keys.SUCCESSES: scores["success"],
+                keys.RETURNS: scores["return"],
+                keys.STEPS: scores["steps"],
+                keys.SUCCESS_RATE: scores["success"].float().mean(dim=1),
+                keys.RETURN_MEAN: scores["return"].mean(dim=1),
+                keys.FRAMES: scores["steps"].sum(dim=1),
+            },
+            batch_size=scores.batch_size[:1],
+        )
+        if keys.OUTCOME in env.full_observation_spec.keys(True, True):
+            result[keys.OUTCOMES] = scores["outcome"]
+        if callable(self.fitness):
+            fitness = self.fitness(result).float()
+        elif self.fitness == "goals":
+            fitness = scores["success"].sum(dim=1).float()
+        else:
+            fitness = result[keys.RETURN_MEAN].clone()
+        broken = ~scores["finite"].all(dim=1)
+        return result.set(keys.FITNESS, torch.where(broken, torch.nan, fitness))
+
+
+class _Rollout:
+    """One batch of members and episodes in an environment, until all have ended."""
+
+    def __init__(
+        self,
+        evaluator: PopulationEvaluator,
+        env: EnvBase,
+        scores: TensorDictBase,
+        seeds: torch.Tensor,
+    ) -> None:
+        self.evaluator, self.env, self.scores, self.seeds = evaluator, env, scores, seeds
+        self.used = scores.numel()
+        self.is_batched = env.batch_size.numel() > 1 or len(env.batch_size) > 0
+
+    def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
+        """Fill the scores ``[p, s]``; append transitions to ``log``."""
+        env, used = self.env, self.used
+        worlds = env.batch_size.numel()
+        td = self._reset()
+        alive = torch.zeros(worlds, dtype=torch.bool)
+        alive[:used] = True
+        returns = torch.zeros(worlds, dtype=torch.float64)
+        steps = torch.zeros(worlds, dtype=torch.int64)
+        success = torch.zeros(worlds, dtype=torch.bool)
+        outcome = torch.zeros(worlds, dtype=torch.int64)
+        finite = torch.ones(worlds, dtype=torch.bool)
+        limit = self.evaluator.max_steps
+        while bool(alive.any()):
+            td = self._act(td, finite, alive)
+            if not bool(alive.all()):
+                td.set(keys.STEP_MASK, alive.reshape(env.batch_size))
+            td = env.step(td)
+            following = td["next"]
+            if log is not None:
+                log.append(self._transitions(td, alive, steps, offset))
+            reward = following[keys.REWARD].reshape(worlds).to(torch.float64)
+            done = following[keys.DONE].reshape(worlds)
+            # Frozen worlds repeat their last step: nothing of it counts.
+            returns += torch.where(alive, reward, 0.0)
+            steps += alive
+            ended = alive & done
+            for key, into in (
+                (self.evaluator.success_key, success),
+                (keys.OUTCOME, outcome),
+            ):
+                value = following.get(key, None)
+                if value is not None:
+                    value = value.reshape(worlds).to(into.dtype)
+                    into.copy_(torch.where(ended, value, into))
+            alive = alive & ~done
+            if limit is not None:
+                alive &= steps < limit
+            td = step_mdp(td, exclude_action=True)
+        scores = self.scores
+        for name, value in (
+            ("return", returns.float()),
+            ("steps", steps),
+            ("success", success),
+            ("outcome", outcome),
+            ("finite", finite),
+        ):
+            scores.set_(name, value[:used].reshape(scores.batch_size))
+
+    def _reset(self) -> TensorDictBase:
+        env, seeding = self.env, self.evaluator.episode_seeding
+        if seeding == "auto":
+            names = env.full_observation_spec.keys(True, True)
+            seeding = "reset" if keys.EPISODE_SEED in names else "set_seed"
+        worlds = env.batch_size.numel()
+        seeds = self.seeds.repeat(-(-worlds // len(self.seeds)))[:worlds]
+        if seeding == "reset":
+            return env.reset(episode_seed=seeds.reshape(env.batch_size))
+        if seeding == "set_seed":
+            env.set_seed(int(self.seeds[0] % 2**31))
+        return env.reset()
+
+    def _act(
+        self, td: TensorDictBase, finite: torch.Tensor, alive: torch.Tensor
+    ) -> TensorDictBase:
+        population, used = self.evaluator.population, self.used
+        rows = td.select(*population.in_keys).reshape(-1)
+        rows = population(rows[:used] if used < rows.shape[0] else rows)
+        acted = rows.pop("policy_is_finite")
+        finite[:used] &= acted | ~alive[:used]
+        if used < self.env.batch_size.numel():
+            idle = rows[:1].expand(self.env.batch_size.numel() - used)
+            rows = torch.cat([rows, idle.clone()])
+        return td.update(rows.reshape(self.env.batch_size))
+
+    def _transitions(
+        self,
+        td: TensorDictBase,
+        alive: torch.Tensor,
+        steps: torch.Tensor,
+        offset: tuple[int, int],
+    ) -> TensorDictBase:
+        trials = self.scores.batch_size[1]
+        flat = td.exclude(keys.STEP_MASK).reshape(-1)[alive].clone()
+        world = alive.nonzero()[:, 0]
+        flat["member"] = offset[0] + world // trials
+        flat["episode"] = offset[1] + world % trials
+        flat["time"] = steps[alive]
+        return flat
+
+
+def _empty_scores(members: int, episodes: int) -> TensorDict:
+    shape = (members, episodes)
+    return TensorDict(
+        {
+            "return": torch.zeros(shape),
+            "steps": torch.zeros(shape, dtype=torch.int64),
+            "success": torch.zeros(shape, dtype=torch.bool),
+            "outcome": torch.zeros(shape, dtype=torch.int64),
+            "finite": torch.ones(shape, dtype=torch.bool),
+        },
+        batch_size=shape,
+    )
+
+
+def _ordered(log: list[TensorDictBase]) -> TensorDictBase:
+    """Transitions of all steps as one tensordict, episode after episode."""
+    if not log:
+        return TensorDict(batch_size=[0])
+    whole = torch.cat(log)
+    span = int(whole["time"].max()) + 1
+    episodes = int(whole["episode"].max()) + 1
+    order = (whole["member"] * episodes + whole["episode"]) * span + whole["time"]
+    return whole[order.argsort()].exclude("time")
