@@ -51,6 +51,8 @@ class PopulationEvaluator(Transform):
         success_key: Flag of the environment that marks success, read at the end of an
             episode.
         inverse: Whether to evaluate on a replay buffer's ``extend``.
+        extra_keys: Further entries of the environment to report ``[P, S]``, as they
+            are at the end of an episode.
 
     Raises:
         ValueError: If ``num_episodes`` < 1 or ``max_steps`` < 1.
@@ -82,6 +84,7 @@ class PopulationEvaluator(Transform):
         params_key: NestedKey = keys.PARAMS,
         success_key: NestedKey = keys.SUCCESS,
         inverse: bool = False,
+        extra_keys: tuple[str, ...] = (),
     ) -> None:
         if num_episodes < 1:
             raise ValueError(f"num_episodes={num_episodes} must be >= 1")
@@ -104,6 +107,7 @@ class PopulationEvaluator(Transform):
         self.params_key = params_key
         self.success_key = success_key
         self.inverse = inverse
+        self.extra_keys = tuple(extra_keys)
         self._create_env_fn = create_env_fn
         self.__dict__["_own_env"] = None
 
@@ -175,8 +179,9 @@ class PopulationEvaluator(Transform):
         Returns:
             A tensordict ``[P]``: ``fitness``, ``success_rate``, ``return_mean`` and
             ``frames`` (environment steps) ``[P]``; ``successes``, ``returns``,
-            ``steps`` and, if the environment tells, ``outcomes`` ``[P, S]``. A member
-            whose policy gave a number that is not finite has fitness NaN.
+            ``steps``, the extra keys and, if the environment tells, ``outcomes``
+            ``[P, S]``. A member whose policy gave a number that is not finite has
+            fitness NaN.
         """
         return self._evaluate(params, seeds, keep_transitions=False)[0]
 
@@ -205,7 +210,7 @@ class PopulationEvaluator(Transform):
             )
             self.num_evaluations += 1
         seeds = torch.as_tensor(seeds, dtype=torch.int64)
-        scores = _empty_scores(count, len(seeds))
+        scores = self._empty_scores(env, count, len(seeds))
         log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
@@ -225,6 +230,29 @@ class PopulationEvaluator(Transform):
             self.population.unload()
         return self._summary(scores, env), _ordered(log)
 
+    def _final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
+        """Entries to read at the end of an episode, and the names they get."""
+        wanted = {self.success_key: "success", keys.OUTCOME: keys.OUTCOMES}
+        wanted |= {key: key for key in self.extra_keys}
+        offered = env.full_observation_spec.keys(True, True)
+        return {key: name for key, name in wanted.items() if key in offered}
+
+    def _empty_scores(self, env: EnvBase, members: int, episodes: int) -> TensorDict:
+        shape = (members, episodes)
+        scores = TensorDict(
+            {
+                "return": torch.zeros(shape),
+                "steps": torch.zeros(shape, dtype=torch.int64),
+                "success": torch.zeros(shape, dtype=torch.bool),
+                "finite": torch.ones(shape, dtype=torch.bool),
+            },
+            batch_size=shape,
+        )
+        for key, name in self._final_keys(env).items():
+            dtype = env.full_observation_spec[key].dtype
+            scores[name] = torch.zeros(shape, dtype=dtype)
+        return scores
+
     def _summary(self, scores: TensorDictBase, env: EnvBase) -> TensorDictBase:
         result = TensorDict(
             {
@@ -237,8 +265,9 @@ class PopulationEvaluator(Transform):
             },
             batch_size=scores.batch_size[:1],
         )
-        if keys.OUTCOME in env.full_observation_spec.keys(True, True):
-            result[keys.OUTCOMES] = scores["outcome"]
+        for name in self._final_keys(env).values():
+            if name != "success":
+                result[name] = scores[name]
         if callable(self.fitness):
             fitness = self.fitness(result).float()
         elif self.fitness == "goals":
@@ -272,8 +301,11 @@ class _Rollout:
         alive[:used] = True
         returns = torch.zeros(worlds, dtype=torch.float64)
         steps = torch.zeros(worlds, dtype=torch.int64)
-        success = torch.zeros(worlds, dtype=torch.bool)
-        outcome = torch.zeros(worlds, dtype=torch.int64)
+        final_keys = self.evaluator._final_keys(env)
+        final = {
+            name: torch.zeros(worlds, dtype=self.scores[name].dtype)
+            for name in final_keys.values()
+        }
         finite = torch.ones(worlds, dtype=torch.bool)
         limit = self.evaluator.max_steps
         while bool(alive.any()):
@@ -290,26 +322,17 @@ class _Rollout:
             returns += torch.where(alive, reward, 0.0)
             steps += alive
             ended = alive & done
-            for key, into in (
-                (self.evaluator.success_key, success),
-                (keys.OUTCOME, outcome),
-            ):
-                value = following.get(key, None)
-                if value is not None:
-                    value = value.reshape(worlds).to(into.dtype)
-                    into.copy_(torch.where(ended, value, into))
+            if bool(ended.any()):
+                for key, name in final_keys.items():
+                    value = following[key].reshape(worlds)
+                    final[name] = torch.where(ended, value, final[name])
             alive = alive & ~done
             if limit is not None:
                 alive &= steps < limit
             td = step_mdp(td, exclude_action=True)
         scores = self.scores
-        for name, value in (
-            ("return", returns.float()),
-            ("steps", steps),
-            ("success", success),
-            ("outcome", outcome),
-            ("finite", finite),
-        ):
+        final |= {"return": returns.float(), "steps": steps, "finite": finite}
+        for name, value in final.items():
             scores.set_(name, value[:used].reshape(scores.batch_size))
 
     def _reset(self) -> TensorDictBase:
@@ -352,20 +375,6 @@ class _Rollout:
         flat["episode"] = offset[1] + world % trials
         flat["time"] = steps[alive]
         return flat
-
-
-def _empty_scores(members: int, episodes: int) -> TensorDict:
-    shape = (members, episodes)
-    return TensorDict(
-        {
-            "return": torch.zeros(shape),
-            "steps": torch.zeros(shape, dtype=torch.int64),
-            "success": torch.zeros(shape, dtype=torch.bool),
-            "outcome": torch.zeros(shape, dtype=torch.int64),
-            "finite": torch.ones(shape, dtype=torch.bool),
-        },
-        batch_size=shape,
-    )
 
 
 def _ordered(log: list[TensorDictBase]) -> TensorDictBase:

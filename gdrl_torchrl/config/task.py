@@ -1,0 +1,76 @@
+"""The config dataclass of a task, derived from the task's own options."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import types
+import typing
+from typing import Any, Literal
+
+from gdrl_tasks import NavigationTask, make_task, task_options
+
+BACKENDS = ("batch", "dm_control")
+
+
+@functools.cache
+def task_config_class(name: str) -> type:
+    """Make the dataclass of a task's config group: name, backend and every option.
+
+    Types that OmegaConf cannot hold become simpler (a Literal its values' type, a tuple
+    a list); the task's own options check the values.
+
+    Examples:
+        >>> config = task_config_class("water")(sea="rough")
+        >>> make_task_from_config(config).options.sea
+        'rough'
+    """
+    options = task_options(name)
+    hints = typing.get_type_hints(options)
+    fields: list[Any] = [("name", str, name), ("backend", str, "batch")]
+    for field in dataclasses.fields(options):
+        simple = _simple_type(hints[field.name])
+        default = field.default
+        if isinstance(default, tuple):
+            values = list(default)
+            fields.append(
+                (field.name, simple, dataclasses.field(default_factory=values.copy))
+            )
+        else:
+            fields.append((field.name, simple, default))
+    return dataclasses.make_dataclass(f"{name.title()}TaskConfig", fields)
+
+
+def make_task_from_config(config: Any) -> NavigationTask:
+    """Make the task that a config of :func:`task_config_class` describes.
+
+    Raises:
+        ValueError: If an option is out of range or ``backend`` unknown.
+    """
+    if config.backend not in BACKENDS:
+        raise ValueError(f"task.backend={config.backend!r} must be one of {BACKENDS}")
+    options = {
+        field.name: getattr(config, field.name)
+        for field in dataclasses.fields(config)
+        if field.name not in ("name", "backend")
+    }
+    for name, value in options.items():
+        if isinstance(value, list):
+            options[name] = tuple(value)
+    try:
+        return make_task(config.name, **options)
+    except ValueError as error:
+        raise ValueError(f"task: {error}") from error
+
+
+def _simple_type(hint: Any) -> Any:
+    origin = typing.get_origin(hint)
+    arguments = typing.get_args(hint)
+    if origin is Literal:
+        return type(arguments[0])
+    if origin is tuple:
+        return list[arguments[0]]
+    if origin in (typing.Union, types.UnionType):
+        inner = [_simple_type(a) for a in arguments if a is not type(None)]
+        return typing.Optional[inner[0]]  # noqa: UP045 - built at run time
+    return hint

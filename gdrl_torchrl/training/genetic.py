@@ -1,0 +1,239 @@
+"""``GeneticHook``: the periodic genetic evaluation, as a hook for any TorchRL trainer."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import TrainerHookBase
+
+from gdrl_torchrl import keys
+from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
+from gdrl_torchrl.evolution.mutation import bernoulli_mutation
+from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
+from gdrl_torchrl.evolution.selection import TieRule, select_best
+from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+
+Mutation = Callable[..., TensorDictBase]
+PARENT = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneticEvaluation:
+    """What one genetic evaluation found; the parent's copy is member 0."""
+
+    number: int
+    mut_p: float
+    scores: TensorDictBase
+    """Result of the evaluator, ``[1 + N]``."""
+    winner: int
+    population_steps: int
+
+    @property
+    def switched(self) -> bool:
+        """Whether a child replaced the agent."""
+        return self.winner != PARENT
+
+
+class GeneticHook(TrainerHookBase):
+    """Every ``period_episodes`` episodes, let mutated children compete with the agent.
+
+    At the first batch boundary after enough training episodes have ended, N children
+    are made of the agent by mutation; they and a copy of it are scored over the same
+    episodes, and the best one's weights are written into the agent in place: same
+    Parameter objects, so the loss, the optimiser and the collector see them
+    (Marchesini and Farinelli, AAMAS 2020, section 2.1).
+
+    Args:
+        actor: The agent's policy.
+        evaluator: Scores populations, in an environment that no collector steps.
+        num_children: Children ``N``.
+        period_episodes: Training episodes between evaluations.
+        mutation: ``(genomes [N], mut_p=, std=, generator=) -> genomes [N]``.
+        std: Standard deviation of the mutation, in weight units.
+        schedule: Mutation probability by success rate.
+        window_episodes: Training episodes that the success rate is over.
+        tie_rule: Who wins among equals, see
+            :func:`~gdrl_torchrl.evolution.selection.select_best`.
+        optimizer: Optimiser whose moments of the actor ``optimizer_on_switch`` is about.
+        optimizer_on_switch: ``keep`` or ``reset`` those moments on a switch.
+        critic: Critic that ``critic_on_switch`` is about.
+        critic_on_switch: ``keep`` the parent's critic or ``reset`` its layers.
+        seed: Seed of the mutations.
+        success_key: Flag of success in the training batches.
+        on_evaluation: Called with each :class:`GeneticEvaluation`.
+
+    Raises:
+        ValueError: If ``num_children`` or ``period_episodes`` < 1, or something is to
+            be reset that was not given.
+    """
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        evaluator: PopulationEvaluator,
+        *,
+        num_children: int = 10,
+        period_episodes: int = 40,
+        mutation: Mutation = bernoulli_mutation,
+        std: float = 0.1,
+        schedule: MutationSchedule | None = None,
+        window_episodes: int = 100,
+        tie_rule: TieRule = "return_then_parent",
+        optimizer: torch.optim.Optimizer | None = None,
+        optimizer_on_switch: Literal["keep", "reset"] = "keep",
+        critic: torch.nn.Module | None = None,
+        critic_on_switch: Literal["keep", "reset"] = "keep",
+        seed: int = 0,
+        success_key: str = keys.SUCCESS,
+        on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
+    ) -> None:
+        for name, value in (
+            ("num_children", num_children),
+            ("period_episodes", period_episodes),
+        ):
+            if value < 1:
+                raise ValueError(f"{name}={value} must be >= 1")
+        if optimizer_on_switch == "reset" and optimizer is None:
+            raise ValueError("optimizer_on_switch='reset' needs an optimizer")
+        if critic_on_switch == "reset" and critic is None:
+            raise ValueError("critic_on_switch='reset' needs a critic")
+        self.actor = actor
+        self.evaluator = evaluator
+        self.num_children = num_children
+        self.period_episodes = period_episodes
+        self.mutation = mutation
+        self.std = std
+        self.schedule = schedule or MutationSchedule()
+        self.window = SuccessWindow(window_episodes)
+        self.tie_rule = tie_rule
+        self.optimizer = optimizer
+        self.optimizer_on_switch = optimizer_on_switch
+        self.critic = critic
+        self.critic_on_switch = critic_on_switch
+        self.success_key = success_key
+        self.on_evaluation = list(on_evaluation)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.num_evaluations = 0
+        self.num_switches = 0
+        self.population_steps = 0
+        self.episodes_completed = 0
+        self._episodes_at_evaluation = 0
+        self._last_trajectory = -1
+        self._trainer: Trainer | None = None
+
+    def register(self, trainer: Trainer, name: str = "genetic_hook") -> None:
+        """Register with a trainer: batches are observed, evaluations follow updates."""
+        self._trainer = trainer
+        trainer.register_module(name, self)
+        trainer.register_op("batch_process", self.observe)
+        trainer.register_op("post_steps", self)
+
+    def observe(self, batch: TensorDictBase) -> TensorDictBase:
+        """Count a batch's ended episodes and note their success, in starting order.
+
+        Args:
+            batch: Collected transitions ``[T]`` or ``[W, T]`` with the collector's
+                trajectory ids.
+
+        Returns:
+            The batch itself.
+        """
+        done = batch["next", keys.DONE].reshape(-1)
+        trajectory = batch["collector", "traj_ids"].reshape(-1)
+        begun = trajectory[trajectory > self._last_trajectory].unique()
+        self.window.begin(begun.tolist())
+        if len(begun):
+            self._last_trajectory = int(begun[-1])
+        ended = trajectory[done]
+        success = batch.get(("next", self.success_key), None)
+        if success is None:
+            flags = torch.zeros(len(ended), dtype=torch.bool)
+        else:
+            flags = success.reshape(-1)[done]
+        for episode, flag in zip(ended.tolist(), flags.tolist(), strict=True):
+            self.window.finish(episode, flag)
+        self.episodes_completed += len(ended)
+        return batch
+
+    def __call__(self) -> None:
+        """Evaluate if enough episodes have ended since the last evaluation."""
+        since = self.episodes_completed - self._episodes_at_evaluation
+        if since >= self.period_episodes:
+            self._episodes_at_evaluation = self.episodes_completed
+            self.evaluate()
+
+    def evaluate(self) -> GeneticEvaluation:
+        """Make children, score them with the agent's copy, install the winner."""
+        genome = genome_of(self.actor)
+        mut_p = self.schedule(self.window.rate)
+        children = self.mutation(
+            stack_copies(genome, self.num_children),
+            mut_p=mut_p,
+            std=self.std,
+            generator=self.generator,
+        )
+        population = concatenate([stack_copies(genome, 1), children])
+        scores = self.evaluator.evaluate(population)
+        winner = select_best(scores, parent=PARENT, tie_rule=self.tie_rule)
+        evaluation = GeneticEvaluation(
+            number=self.num_evaluations,
+            mut_p=mut_p,
+            scores=scores,
+            winner=winner,
+            population_steps=int(scores[keys.FRAMES].sum()),
+        )
+        self.num_evaluations += 1
+        self.population_steps += evaluation.population_steps
+        if evaluation.switched:
+            self.num_switches += 1
+            self._hand_over(population[winner])
+        for callback in self.on_evaluation:
+            callback(evaluation)
+        return evaluation
+
+    def _hand_over(self, genome: TensorDictBase) -> None:
+        install(self.actor, genome)
+        if self.optimizer_on_switch == "reset":
+            assert self.optimizer is not None
+            for parameter in self.actor.parameters():
+                self.optimizer.state.pop(parameter, None)
+        if self.critic_on_switch == "reset":
+            assert self.critic is not None
+            for module in self.critic.modules():
+                if hasattr(module, "reset_parameters"):
+                    module.reset_parameters()
+        if self._trainer is not None:
+            # Collectors in other processes hold copies of the weights.
+            self._trainer.collector.update_policy_weights_()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Window, counters and generators."""
+        return {
+            "window": self.window.state_dict(),
+            "generator": self.generator.get_state(),
+            "fitness_episodes": self.evaluator.num_evaluations,
+            "num_evaluations": self.num_evaluations,
+            "num_switches": self.num_switches,
+            "population_steps": self.population_steps,
+            "episodes_completed": self.episodes_completed,
+            "episodes_at_evaluation": self._episodes_at_evaluation,
+            "last_trajectory": self._last_trajectory,
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.window.load_state_dict(state_dict["window"])
+        self.generator.set_state(state_dict["generator"])
+        self.evaluator.num_evaluations = state_dict["fitness_episodes"]
+        self.num_evaluations = state_dict["num_evaluations"]
+        self.num_switches = state_dict["num_switches"]
+        self.population_steps = state_dict["population_steps"]
+        self.episodes_completed = state_dict["episodes_completed"]
+        self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
+        self._last_trajectory = state_dict["last_trajectory"]
