@@ -14,6 +14,7 @@ RESET_MASK = "_reset"
 # Of navigation environments, at every step.
 SUCCESS = "success"
 OUTCOME = "outcome"
+EPISODE_NUMBER = "episode_number"
 EPISODE_SEED = "episode_seed"
 EPISODE_STEPS = "episode_steps"
 EPISODE_RETURN = "episode_return"

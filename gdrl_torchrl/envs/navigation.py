@@ -22,8 +22,8 @@ class NavigationEnv(EnvBase):
     nothing. ``reset(episode_seed=seeds)`` chooses the episodes, int64 ``[W]``.
 
     Beside TorchRL's keys every tensordict holds ``success`` (bool), ``outcome``
-    (:class:`gdrl_tasks.Outcome`, int64), ``episode_seed`` (int64), ``episode_steps``
-    (int64), ``episode_return``, ``path_length`` and ``shortest_path`` (metres), all
+    (:class:`gdrl_tasks.Outcome`, int64), ``episode_number`` (int64, in the order of
+    their start), ``episode_seed`` (int64), ``episode_steps`` (int64), ``episode_return``, ``path_length`` and ``shortest_path`` (metres), all
     ``[W, 1]``.
 
     Args:
@@ -72,7 +72,8 @@ class NavigationEnv(EnvBase):
                 keys.OBSERVATION: Bounded(low=low, high=high, dtype=torch.float32),
                 keys.SUCCESS: flag_spec(shape),
                 keys.OUTCOME: Categorical(len(Outcome), shape=shape, dtype=torch.int64),
-                keys.EPISODE_SEED: integer,
+                keys.EPISODE_NUMBER: integer,
+                keys.EPISODE_SEED: integer.clone(),
                 keys.EPISODE_STEPS: integer.clone(),
                 keys.EPISODE_RETURN: number,
                 keys.PATH_LENGTH: number.clone(),
@@ -157,6 +158,7 @@ class NavigationEnv(EnvBase):
         out = {keys.OBSERVATION: self.simulation.observe().astype(np.float32)}
         out[keys.SUCCESS] = outcome[:, None] == Outcome.SUCCESS
         out[keys.OUTCOME] = outcome[:, None].copy()
+        out[keys.EPISODE_NUMBER] = arrays["episode_number"][:, None].copy()
         out[keys.EPISODE_SEED] = arrays["episode_seed"][:, None].copy()
         out[keys.EPISODE_STEPS] = arrays["steps"][:, None].copy()
         for name in (keys.EPISODE_RETURN, keys.PATH_LENGTH, keys.SHORTEST_PATH):
@@ -165,7 +167,7 @@ class NavigationEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulation.seed = seed or 0
-        self.simulation.num_episodes_drawn = 0
+        self.simulation.num_episodes_begun = 0
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """The complete simulator state, as tensors by name (copies)."""
@@ -178,7 +180,7 @@ class NavigationEnv(EnvBase):
         The next full ``reset()`` without seeds goes on from there instead of beginning
         new episodes, so a collector built or reset afterwards continues exactly.
         """
-        scalars = ("seed", "num_episodes_drawn")
+        scalars = ("seed", "num_episodes_begun")
         arrays = {name: value.cpu().numpy() for name, value in state.items()}
         for name in scalars:
             if name in arrays:

@@ -124,7 +124,7 @@ class GeneticHook(TrainerHookBase):
         self.population_steps = 0
         self.episodes_completed = 0
         self._episodes_at_evaluation = 0
-        self._last_trajectory = -1
+        self._last_episode = -1
         self._trainer: Trainer | None = None
 
     def register(self, trainer: Trainer, name: str = "genetic_hook") -> None:
@@ -138,26 +138,29 @@ class GeneticHook(TrainerHookBase):
         """Count a batch's ended episodes and note their success, in starting order.
 
         Args:
-            batch: Collected transitions ``[T]`` or ``[W, T]`` with the collector's
-                trajectory ids.
+            batch: Collected transitions ``[T]`` or ``[W, T]`` with ``episode_number``
+                of the environment or, without it, the collector's trajectory ids.
 
         Returns:
             The batch itself.
         """
         done = batch["next", keys.DONE].reshape(-1)
-        trajectory = batch["collector", "traj_ids"].reshape(-1)
-        begun = trajectory[trajectory > self._last_trajectory].unique()
+        episode = batch.get(keys.EPISODE_NUMBER, None)
+        if episode is None:
+            episode = batch["collector", "traj_ids"]
+        episode = episode.reshape(-1)
+        begun = episode[episode > self._last_episode].unique()
         self.window.begin(begun.tolist())
         if len(begun):
-            self._last_trajectory = int(begun[-1])
-        ended = trajectory[done]
+            self._last_episode = int(begun[-1])
+        ended = episode[done]
         success = batch.get(("next", self.success_key), None)
         if success is None:
             flags = torch.zeros(len(ended), dtype=torch.bool)
         else:
             flags = success.reshape(-1)[done]
-        for episode, flag in zip(ended.tolist(), flags.tolist(), strict=True):
-            self.window.finish(episode, flag)
+        for number, flag in zip(ended.tolist(), flags.tolist(), strict=True):
+            self.window.finish(number, flag)
         self.episodes_completed += len(ended)
         return batch
 
@@ -223,7 +226,7 @@ class GeneticHook(TrainerHookBase):
             "population_steps": self.population_steps,
             "episodes_completed": self.episodes_completed,
             "episodes_at_evaluation": self._episodes_at_evaluation,
-            "last_trajectory": self._last_trajectory,
+            "last_episode": self._last_episode,
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -236,4 +239,4 @@ class GeneticHook(TrainerHookBase):
         self.population_steps = state_dict["population_steps"]
         self.episodes_completed = state_dict["episodes_completed"]
         self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
-        self._last_trajectory = state_dict["last_trajectory"]
+        self._last_episode = state_dict["last_episode"]

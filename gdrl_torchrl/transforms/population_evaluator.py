@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, Transform
+from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from gdrl_torchrl import keys
@@ -342,6 +343,9 @@ class _Rollout:
             seeding = "reset" if keys.EPISODE_SEED in names else "set_seed"
         worlds = env.batch_size.numel()
         seeds = self.seeds.repeat(-(-worlds // len(self.seeds)))[:worlds]
+        if seeding == "reset" and isinstance(env, BatchedEnvBase):
+            each = [{"episode_seed": int(seed)} for seed in seeds]
+            return env.reset(list_of_kwargs=each)
         if seeding == "reset":
             return env.reset(episode_seed=seeds.reshape(env.batch_size))
         if seeding == "set_seed":

@@ -7,7 +7,14 @@
 
 from gdrl_tasks.batch import BatchSimulation, StepResult
 from gdrl_tasks.navigation import Outcome
-from gdrl_tasks.registry import RegisteredTask, load, make_task, simulate, task_names
+from gdrl_tasks.registry import (
+    RegisteredTask,
+    load,
+    make_task,
+    simulate,
+    task_names,
+    task_options,
+)
 from gdrl_tasks.seeds import Stream, episode_seeds
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
 
@@ -25,4 +32,5 @@ __all__ = [
     "make_task",
     "simulate",
     "task_names",
+    "task_options",
 ]

@@ -81,7 +81,7 @@ class BatchSimulation:
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1
         self.seed = seed
-        self.num_episodes_drawn = 0
+        self.num_episodes_begun = 0
         self.model = mujoco.MjModel.from_xml_string(task.xml())
         self.batch = Batch(self.model, num_worlds, self.num_threads)
         self.arrays = task.allocate(num_worlds)
@@ -111,10 +111,9 @@ class BatchSimulation:
             ValueError: If ``seeds`` has another length than ``ids`` or a negative one.
         """
         ids = self._all if ids is None else np.asarray(ids, dtype=np.int64)
+        start = self.num_episodes_begun
         if seeds is None:
-            start = self.num_episodes_drawn
             seeds = episode_seeds(Stream.TRAINING, self.seed, start, len(ids))
-            self.num_episodes_drawn += len(ids)
         seeds = np.asarray(seeds, dtype=np.int64)
         if seeds.shape != ids.shape:
             raise ValueError(
@@ -130,6 +129,8 @@ class BatchSimulation:
             episode = self.task.draw_episode(int(seed))
             self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
             self.task.begin_episode(self.arrays, rows, episode, int(seed))
+        self.arrays["episode_number"][ids] = start + np.arange(len(ids))
+        self.num_episodes_begun += len(ids)
         return self.observe(ids)
 
     def step(self, action: np.ndarray, ids: WorldIndex | None = None) -> StepResult:
@@ -178,7 +179,7 @@ class BatchSimulation:
         state = {f"arrays.{name}": value.copy() for name, value in self.arrays.items()}
         state["engine"] = self.batch.state.copy()
         state["seed"] = np.array(self.seed)
-        state["num_episodes_drawn"] = np.array(self.num_episodes_drawn)
+        state["num_episodes_begun"] = np.array(self.num_episodes_begun)
         return state
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -200,7 +201,7 @@ class BatchSimulation:
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.batch.state[...] = state["engine"]
         self.seed = int(state["seed"])
-        self.num_episodes_drawn = int(state["num_episodes_drawn"])
+        self.num_episodes_begun = int(state["num_episodes_begun"])
 
     def close(self) -> None:
         """Stop the threads."""

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes.util
+import os
+import sys
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+# Without a display dm_control would still choose GLFW, whose first frame then fails.
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    if "MUJOCO_GL" not in os.environ and ctypes.util.find_library("EGL"):
+        os.environ["MUJOCO_GL"] = "egl"
+
 from dm_control import mujoco
 from dm_control.rl import control
 from dm_control.suite import base
@@ -81,7 +90,7 @@ class SuiteTask(base.Task):
         if self.task.has_substep_forces:
             physics.before_substep = lambda: self._apply_forces(physics)
         physics.before_render = lambda: self.task.draw_scenery(physics, self.arrays)
-        super().initialize_episode(physics)
+        # Not super().initialize_episode(): it calls after_step, a step that never was.
 
     def before_step(self, action: Any, physics: TaskPhysics) -> None:
         """Store the action; a world whose action is not finite diverges."""

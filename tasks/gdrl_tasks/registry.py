@@ -69,17 +69,26 @@ def make_task(name: str, **options: Any) -> NavigationTask:
         >>> make_task("water", sea="rough").options.sea
         'rough'
     """
-    if name not in _registry():
-        raise ValueError(f"task={name!r} must be one of {sorted(_registry())}")
-    registered = _registry()[name]
-    known = {field.name for field in dataclasses.fields(registered.options)}
+    known = {field.name for field in dataclasses.fields(task_options(name))}
     for option, value in options.items():
         if option not in known:
             raise ValueError(
                 f"unknown option {option}={value!r} of task {name!r}; "
                 f"options are {sorted(known)}"
             )
+    registered = _registry()[name]
     return registered.make(registered.options(**options))
+
+
+def task_options(name: str) -> type:
+    """The dataclass of a task's options.
+
+    Raises:
+        ValueError: If the task is unknown.
+    """
+    if name not in _registry():
+        raise ValueError(f"task={name!r} must be one of {sorted(_registry())}")
+    return _registry()[name].options
 
 
 def load(

@@ -137,6 +137,7 @@ class NavigationTask(abc.ABC):
             "path_length": np.zeros(n),
             "shortest_path": np.zeros(n),
             "episode_return": np.zeros(n),
+            "episode_number": np.zeros(n, dtype=np.int64),
             "episode_seed": np.zeros(n, dtype=np.int64),
             "steps": np.zeros(n, dtype=np.int64),
             "outcome": np.zeros(n, dtype=np.int64),

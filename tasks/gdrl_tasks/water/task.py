@@ -12,6 +12,7 @@ from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, Worl
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull, model_xml
 from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
+from gdrl_tasks.water.scenery import draw_sea_surface
 
 DIFFICULTIES: dict[str, dict[str, Any]] = {
     "near": {
@@ -166,8 +167,17 @@ class WaterTask(NavigationTask):
 
     def xml(self) -> str:
         """The hull, a goal marker and a drawn sea."""
-        extent = self.options.goal_distance_m[1] + 2.0
-        return model_xml(self.hull, substep_s=self.spec.substep_s, sea_extent_m=extent)
+        return model_xml(
+            self.hull,
+            substep_s=self.spec.substep_s,
+            farthest_goal_m=self.options.goal_distance_m[1],
+            goal_tolerance_m=self.goal_tolerance_m,
+        )
+
+    def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
+        """Bring the drawn sea, the floating goal and the chase camera up to date."""
+        sea = {name: arrays[name] for name in waves.SEA_FIELDS}
+        draw_sea_surface(physics, arrays, sea)
 
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
         """Sea, current and thrusters."""

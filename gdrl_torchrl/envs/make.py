@@ -1,0 +1,56 @@
+"""Environments from a task and a choice of backend."""
+
+from __future__ import annotations
+
+import functools
+from typing import Literal
+
+from gdrl_tasks import NavigationTask
+from torchrl.envs import EnvBase, SerialEnv
+
+from gdrl_torchrl.envs.navigation import NavigationEnv
+
+Backend = Literal["batch", "dm_control"]
+
+
+def make_env(
+    task: NavigationTask,
+    num_worlds: int,
+    *,
+    backend: Backend = "batch",
+    num_threads: int = 0,
+    seed: int = 0,
+) -> EnvBase:
+    """Make an environment of batch size ``[num_worlds]``.
+
+    Args:
+        task: The task.
+        num_worlds: Number of worlds.
+        backend: ``batch`` steps all worlds on ``mujoco.batch``; ``dm_control`` runs
+            that many dm_control environments in this process, one after another.
+        num_threads: Simulation threads of the ``batch`` backend; 0 takes one per
+            processor.
+        seed: Seed of the episodes.
+
+    Raises:
+        ValueError: If ``num_worlds`` < 1 or ``backend`` is unknown.
+
+    Examples:
+        >>> from gdrl_tasks import make_task
+        >>> make_env(make_task("water"), 3, backend="dm_control").batch_size
+        torch.Size([3])
+    """
+    if num_worlds < 1:
+        raise ValueError(f"num_worlds={num_worlds} must be >= 1")
+    if backend == "batch":
+        return NavigationEnv(task, num_worlds, num_threads=num_threads, seed=seed)
+    if backend != "dm_control":
+        raise ValueError(f"backend={backend!r} must be 'batch' or 'dm_control'")
+    # dm_control takes a second to import, and nothing else here needs it.
+    from gdrl_torchrl.envs.dm_control import NavigationDMControlEnv
+
+    makers = [
+        functools.partial(NavigationDMControlEnv, task, seed=seed * 1000 + world)
+        for world in range(num_worlds)
+    ]
+    return SerialEnv(num_worlds, makers)

@@ -1,0 +1,237 @@
+"""A run is a directory named by its configuration."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import fcntl
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gdrl_tasks
+
+from gdrl_torchrl.config.schema import ExperimentConfig
+
+_NOT_IN_KEY = (
+    "name",
+    "seed",
+    "runs_dir",
+    "force",
+    "budget",
+    "evaluation",
+    "checkpoint",
+    "logger",
+    "simulation",
+)
+"""What does not change what is learned, or may change between two starts of a run."""
+
+
+class RunDirectoryError(RuntimeError):
+    """A run directory that cannot be used, and what to do about it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunDirectory:
+    """``<runs_dir>/<experiment>/<task>/<algorithm>/<key>/seed_<seed>``."""
+
+    path: Path
+
+    @classmethod
+    def of(cls, config: ExperimentConfig) -> RunDirectory:
+        """The directory that belongs to a configuration; nothing is created."""
+        parts = (config.name, config.task.name, config.algorithm_label, run_key(config))
+        return cls(Path(config.runs_dir).joinpath(*parts, f"seed_{config.seed}"))
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of the checkpoints."""
+        return self.path / "checkpoints"
+
+    @property
+    def metrics(self) -> Path:
+        """The table of training."""
+        return self.path / "metrics.csv"
+
+    @property
+    def done(self) -> Path:
+        """Present once a run is complete; says with which budgets and code."""
+        return self.path / "DONE"
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
+        """Write a file atomically."""
+        path = self.path / name
+        temporary = path.with_name(f".{path.name}.partial")
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
+        os.replace(temporary, path)
+        return path
+
+    def read_json(self, name: str) -> dict[str, Any] | None:
+        """Read a file; None if there is none.
+
+        Raises:
+            RunDirectoryError: If it is not JSON.
+        """
+        path = self.path / name
+        if not path.exists():
+            return None
+        try:
+            return json.loads(path.read_text())
+        except ValueError as error:
+            raise RunDirectoryError(f"{path} is not valid JSON: {error}") from error
+
+    def open(self, config: ExperimentConfig) -> None:
+        """Create the directory, or check that it may go on.
+
+        Raises:
+            RunDirectoryError: If another version of the code wrote it and ``force`` is
+                not set.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        known = self.read_json("provenance.json")
+        here = provenance()
+        if known is not None and known["code"] != here["code"] and not config.force:
+            raise RunDirectoryError(
+                f"{self.path} was written by code {known['code']}, this is "
+                f"{here['code']}: pass force=true to go on with it all the same, or "
+                "remove the directory to start anew"
+            )
+        if known is None or known["code"] != here["code"]:
+            self.write_json("provenance.json", here)
+        self.write_json("config.json", dataclasses.asdict(config))
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes out; the lock of a killed process blocks nobody.
+
+        Raises:
+            RunDirectoryError: If another process holds it.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        with open(self.path / ".lock", "w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise RunDirectoryError(
+                    f"{self.path} is in use by another process"
+                ) from error
+            yield
+
+
+def run_key(config: ExperimentConfig) -> str:
+    """Eight hexadecimal digits of everything that shapes what is learned.
+
+    Seed, budgets, reporting, places and threads are left out.
+    """
+    content = {
+        name: value
+        for name, value in dataclasses.asdict(config).items()
+        if name not in _NOT_IN_KEY
+    }
+    # Options of the evolution do not matter when there is none.
+    if not content["evolution"]["enabled"]:
+        content["evolution"] = {"enabled": False}
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of the package and a digest of its sources."""
+    digest = hashlib.sha256()
+    for package in (Path(__file__).parents[1], Path(gdrl_tasks.__file__).parent):
+        for source in sorted(package.rglob("*.py")):
+            digest.update(source.relative_to(package).as_posix().encode())
+            digest.update(source.read_bytes())
+    return f"{_version('gdrl_torchrl')}+{digest.hexdigest()[:8]}"
+
+
+def provenance() -> dict[str, Any]:
+    """Versions of the code and of what it runs on."""
+    packages = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "numpy")
+    return {
+        "code": code_version(),
+        "git": _git_revision(),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "packages": {name: _version(name) for name in packages},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _git_revision() -> str | None:
+    try:
+        result = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return result.stdout.strip() or None
+
+
+class MetricsTable:
+    """``metrics.csv``: one row per training iteration, blank where nothing is known.
+
+    Args:
+        path: The file; rows that are there stay.
+        columns: Names of the columns.
+    """
+
+    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
+        self.path = path
+        self.columns = columns
+        if not path.exists():
+            with open(path, "w", newline="") as file:
+                csv.writer(file).writerow(columns)
+
+    def append(self, row: Mapping[str, float | int | None]) -> None:
+        """Add a row.
+
+        Raises:
+            ValueError: If a name is not a column.
+        """
+        unknown = row.keys() - set(self.columns)
+        if unknown:
+            raise ValueError(f"metrics {sorted(unknown)} have no column")
+        cells = [row.get(name) for name in self.columns]
+        with open(self.path, "a", newline="") as file:
+            csv.writer(file).writerow(["" if cell is None else cell for cell in cells])
+
+    def cut_after(self, agent_steps: int) -> None:
+        """Drop the rows after a step: what a resumed run will write again."""
+        with open(self.path, newline="") as file:
+            rows = list(csv.DictReader(file))
+        kept = [row for row in rows if _is_before(row, agent_steps)]
+        temporary = self.path.with_name(f".{self.path.name}.partial")
+        with open(temporary, "w", newline="") as file:
+            writer = csv.DictWriter(file, self.columns, extrasaction="ignore")
+            writer.writeheader()
+            writer.writerows(kept)
+        os.replace(temporary, self.path)
+
+
+def _is_before(row: Mapping[str, str], agent_steps: int) -> bool:
+    # A row that a kill cut short has no number.
+    try:
+        return int(row["agent_steps"]) <= agent_steps
+    except (TypeError, ValueError):
+        return False
