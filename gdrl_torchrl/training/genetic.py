@@ -53,7 +53,7 @@ class GeneticHook(TrainerHookBase):
         actor: The agent's policy.
         evaluator: Scores populations, in an environment that no collector steps.
         num_children: Children ``N``.
-        period_episodes: Training episodes between evaluations.
+        period_episodes: Training episodes between evaluations; None only watches.
         mutation: ``(genomes [N], mut_p=, std=, generator=) -> genomes [N]``.
         std: Standard deviation of the mutation, in weight units.
         schedule: Mutation probability by success rate.
@@ -79,7 +79,7 @@ class GeneticHook(TrainerHookBase):
         evaluator: PopulationEvaluator,
         *,
         num_children: int = 10,
-        period_episodes: int = 40,
+        period_episodes: int | None = 40,
         mutation: Mutation = bernoulli_mutation,
         std: float = 0.1,
         schedule: MutationSchedule | None = None,
@@ -97,7 +97,7 @@ class GeneticHook(TrainerHookBase):
             ("num_children", num_children),
             ("period_episodes", period_episodes),
         ):
-            if value < 1:
+            if value is not None and value < 1:
                 raise ValueError(f"{name}={value} must be >= 1")
         if optimizer_on_switch == "reset" and optimizer is None:
             raise ValueError("optimizer_on_switch='reset' needs an optimizer")
@@ -166,6 +166,8 @@ class GeneticHook(TrainerHookBase):
 
     def __call__(self) -> None:
         """Evaluate if enough episodes have ended since the last evaluation."""
+        if self.period_episodes is None:
+            return
         since = self.episodes_completed - self._episodes_at_evaluation
         if since >= self.period_episodes:
             self._episodes_at_evaluation = self.episodes_completed

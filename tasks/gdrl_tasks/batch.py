@@ -59,7 +59,7 @@ class BatchSimulation:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
 
     Raises:
-        ValueError: If ``num_worlds`` < 1 or ``num_threads`` < 0.
+        ValueError: If ``num_worlds`` < 1, ``num_threads`` < 0 or ``seed`` < 0.
 
     Examples:
         >>> from gdrl_tasks import simulate
@@ -73,10 +73,11 @@ class BatchSimulation:
     def __init__(
         self, task: NavigationTask, num_worlds: int, *, num_threads: int = 0, seed: int = 0
     ) -> None:
-        if num_worlds < 1:
-            raise ValueError(f"num_worlds={num_worlds} must be >= 1")
-        if num_threads < 0:
-            raise ValueError(f"num_threads={num_threads} must be >= 0")
+        counts = (("num_worlds", num_worlds, 1), ("num_threads", num_threads, 0))
+        for name, value, least in (*counts, ("seed", seed, 0)):
+            integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not integer or value < least:
+                raise ValueError(f"{name}={value!r} must be an integer >= {least}")
         self.task = task
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1
@@ -110,15 +111,17 @@ class BatchSimulation:
         Raises:
             ValueError: If ``seeds`` has another length than ``ids`` or a negative one.
         """
-        ids = self._all if ids is None else np.asarray(ids, dtype=np.int64)
+        ids = self._checked_ids(ids)
         start = self.num_episodes_begun
         if seeds is None:
             seeds = episode_seeds(Stream.TRAINING, self.seed, start, len(ids))
-        seeds = np.asarray(seeds, dtype=np.int64)
-        if seeds.shape != ids.shape:
+        seeds = np.asarray(seeds)
+        if seeds.shape != ids.shape or (seeds.size and seeds.dtype.kind not in "iu"):
             raise ValueError(
-                f"seeds of shape {seeds.shape} must match the worlds, {ids.shape}"
+                f"seeds of shape {seeds.shape} and type {seeds.dtype} must be integers "
+                f"for the worlds, {ids.shape}"
             )
+        seeds = seeds.astype(np.int64)
         if (seeds < 0).any():
             raise ValueError(f"seeds={seeds.min()} must be >= 0")
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -148,16 +151,16 @@ class BatchSimulation:
             ValueError: If ``action`` has the wrong shape or a discrete action is out
                 of range.
         """
-        ids = self._all if ids is None else np.asarray(ids, dtype=np.int64)
-        action = self._checked_action(action, len(ids))
+        ids = self._checked_ids(ids)
+        action = self.task.spec.checked_action(action, len(ids))
         finite = np.isfinite(action) if action.ndim == 1 else np.isfinite(action).all(1)
-        healthy = finite & self._state_is_sane(ids)
+        healthy = finite & state_is_sane(self.qpos[ids], self.qvel[ids])
         runnable = ids if healthy.all() else ids[healthy]
         self.task.set_action(self.arrays, runnable, action[healthy])
         before = self._count_warnings(ids)
         with quiet_engine():
             self._advance(runnable)
-        diverged = ~healthy | ~self._state_is_sane(ids)
+        diverged = ~healthy | ~state_is_sane(self.qpos[ids], self.qvel[ids])
         diverged |= self._count_warnings(ids) > before
         outcome_before = self.arrays["outcome"][ids]
         reward = self.task.finish_step(self.arrays, ids, self.qpos[ids], diverged)
@@ -170,7 +173,7 @@ class BatchSimulation:
 
     def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
         """Flat observations of worlds, ``[K, D]``."""
-        ids = self._all if ids is None else ids
+        ids = self._checked_ids(ids)
         named = self.task.observe(self.arrays, ids, self.qpos[ids], self.qvel[ids])
         return np.concatenate(list(named.values()), axis=-1)
 
@@ -235,24 +238,22 @@ class BatchSimulation:
         count = min(self.num_threads, max(1, len(ids) // _WORLDS_PER_THREAD))
         return np.array_split(ids, count)
 
-    def _checked_action(self, action: Any, count: int) -> np.ndarray:
-        spec = self.task.spec
-        shape = (count,) if spec.is_discrete else (count, spec.action_size)
-        action = np.asarray(action)
-        if action.shape != shape:
-            raise ValueError(f"action of shape {action.shape} must have shape {shape}")
-        if spec.is_discrete and count:
-            low, high = action.min(), action.max()
-            if low < 0 or high >= spec.action_size:
-                worst = low if low < 0 else high
-                raise ValueError(f"action={worst} must be in [0, {spec.action_size})")
-        return action
-
-    def _state_is_sane(self, ids: WorldIndex) -> np.ndarray:
-        qpos, qvel = np.abs(self.qpos[ids]), np.abs(self.qvel[ids])
-        # Written so that NaN is not sane.
-        sane = (qpos.max(axis=1) < _LARGEST_STATE) & (qvel.max(axis=1) < _LARGEST_STATE)
-        return sane
+    def _checked_ids(self, ids: Any) -> np.ndarray:
+        if ids is None:
+            return self._all
+        ids = np.asarray(ids)
+        if ids.size == 0:
+            return np.zeros(0, dtype=np.int64)
+        if ids.ndim != 1 or ids.dtype.kind not in "iu":
+            raise ValueError(
+                f"ids of shape {ids.shape} and type {ids.dtype} must be integers [K]"
+            )
+        if ids.min() < 0 or ids.max() >= self.num_worlds:
+            worst = ids.min() if ids.min() < 0 else ids.max()
+            raise ValueError(f"ids={worst} must be in [0, {self.num_worlds})")
+        if (np.diff(ids.astype(np.int64)) <= 0).any():
+            raise ValueError(f"ids={ids.tolist()} must be ascending, each once")
+        return ids.astype(np.int64, copy=False)
 
     def _count_warnings(self, ids: WorldIndex) -> np.ndarray:
         return self.batch.warning[ids][:, _DIVERGENCE_WARNINGS, 1].sum(axis=1)
@@ -265,6 +266,13 @@ class BatchSimulation:
                 self.arrays["episode_seed"][world],
                 self.arrays["steps"][world],
             )
+
+
+def state_is_sane(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Mask of worlds whose state is to be believed, ``[K]``."""
+    # Written so that NaN is not sane.
+    position = np.abs(qpos).max(axis=1, initial=0.0) < _LARGEST_STATE
+    return position & (np.abs(qvel).max(axis=1, initial=0.0) < _LARGEST_STATE)
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ import ctypes.util
 import os
 import sys
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import specs
 
-from gdrl_tasks.batch import quiet_engine
+from gdrl_tasks.batch import quiet_engine, state_is_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.task import NavigationTask
 
@@ -62,15 +62,21 @@ class SuiteTask(base.Task):
 
     Attributes:
         task: The task itself.
+        flat_observation: Whether the environment concatenates the observations.
         arrays: Its arrays, for one world.
         next_episode_seed: Set it to choose the episode of the next reset.
     """
 
     def __init__(
-        self, task: NavigationTask, random: int | np.random.RandomState | None = None
+        self,
+        task: NavigationTask,
+        random: int | np.random.RandomState | None = None,
+        *,
+        flat_observation: bool = False,
     ) -> None:
         super().__init__(random=random)
         self.task = task
+        self.flat_observation = flat_observation
         self.arrays = task.allocate(1)
         self.next_episode_seed: int | None = None
         self._reward = 0.0
@@ -95,17 +101,18 @@ class SuiteTask(base.Task):
     def before_step(self, action: Any, physics: TaskPhysics) -> None:
         """Store the action; a world whose action is not finite diverges."""
         action = np.asarray(action)
-        if not np.isfinite(action).all():
+        if self.task.spec.is_discrete and action.size == 1:
+            action = action.reshape(())
+        action = self.task.spec.checked_action(action[None], 1)
+        if not np.isfinite(action).all() or not _is_sane(physics):
             physics.diverged = True
             return
-        if self.task.spec.is_discrete:
-            action = action.reshape(())
-        self.task.set_action(self.arrays, _ONE_WORLD, action[None])
+        self.task.set_action(self.arrays, _ONE_WORLD, action)
 
     def after_step(self, physics: TaskPhysics) -> None:
         """Decide outcome and reward."""
         qpos = physics.data.qpos[None]
-        diverged = np.array([physics.diverged or not np.isfinite(qpos).all()])
+        diverged = np.array([physics.diverged or not _is_sane(physics)])
         reward = self.task.finish_step(self.arrays, _ONE_WORLD, qpos, diverged)
         self._reward = float(reward[0])
 
@@ -118,6 +125,11 @@ class SuiteTask(base.Task):
 
     def observation_spec(self, physics: TaskPhysics) -> OrderedDict[str, specs.Array]:
         """Bounded arrays by name."""
+        if self.flat_observation:
+            low, high = self.task.spec.observation_bounds
+            name = control.FLAT_OBSERVATION_KEY
+            spec = specs.BoundedArray(low.shape, np.float64, low, high, name=name)
+            return OrderedDict([(name, spec)])
         observation = self.task.spec.observation.items()
         return OrderedDict(
             (name, specs.BoundedArray((size,), np.float64, low, high, name=name))
@@ -158,15 +170,24 @@ class SuiteTask(base.Task):
         )
 
 
+def _is_sane(physics: TaskPhysics) -> bool:
+    return bool(state_is_sane(physics.data.qpos[None], physics.data.qvel[None])[0])
+
+
 def make_environment(
-    task: NavigationTask, *, random: int | np.random.RandomState | None = None
+    task: NavigationTask,
+    *,
+    random: int | np.random.RandomState | None = None,
+    environment_kwargs: Mapping[str, Any] | None = None,
 ) -> control.Environment:
     """Make the dm_control environment of a task.
 
     The step limit is the task's own: the environment has no time limit, because
     ``control.Environment`` never asks for the termination of its last allowed step.
     """
+    kwargs = {"n_sub_steps": task.spec.num_substeps} | dict(environment_kwargs or {})
     physics = TaskPhysics.from_xml_string(task.xml())
-    return control.Environment(
-        physics, SuiteTask(task, random), n_sub_steps=task.spec.num_substeps
+    suite_task = SuiteTask(
+        task, random, flat_observation=kwargs.get("flat_observation", False)
     )
+    return control.Environment(physics, suite_task, **kwargs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -92,13 +92,19 @@ def task_options(name: str) -> type:
 
 
 def load(
-    name: str, *, random: int | np.random.RandomState | None = None, **options: Any
+    name: str,
+    *,
+    random: int | np.random.RandomState | None = None,
+    environment_kwargs: Mapping[str, Any] | None = None,
+    **options: Any,
 ) -> control.Environment:
     """Load a task as a dm_control environment with one world.
 
     Args:
         name: One of :func:`task_names`.
         random: Seed or state of the episodes, as in ``dm_control.suite``.
+        environment_kwargs: Arguments of ``control.Environment``, such as
+            ``flat_observation``.
         **options: Options of the task.
 
     Examples:
@@ -109,7 +115,11 @@ def load(
     # Imported here because dm_control takes a second to import.
     from gdrl_tasks.dm_env import make_environment
 
-    return make_environment(make_task(name, **options), random=random)
+    return make_environment(
+        make_task(name, **options),
+        random=random,
+        environment_kwargs=environment_kwargs,
+    )
 
 
 def simulate(

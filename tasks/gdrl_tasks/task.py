@@ -58,6 +58,29 @@ class TaskSpec:
         high = [np.full(size, high) for size, _, high in self.observation.values()]
         return np.concatenate(low), np.concatenate(high)
 
+    def checked_action(self, action: Any, count: int) -> np.ndarray:
+        """Actions of ``count`` worlds as an array; those not finite are let through.
+
+        Raises:
+            ValueError: If they are not numbers, have another shape than ``[K, A]`` (or
+                ``[K]`` if discrete), or a discrete one is not one of the choices.
+        """
+        shape = (count,) if self.is_discrete else (count, self.action_size)
+        action = np.asarray(action)
+        if action.dtype.kind not in "biuf":
+            raise ValueError(f"action of type {action.dtype} must be real numbers")
+        if action.shape != shape:
+            raise ValueError(f"action of shape {action.shape} must have shape {shape}")
+        if self.is_discrete:
+            choice = action[np.isfinite(action)]
+            wrong = (choice < 0) | (choice >= self.action_size) | (choice % 1 != 0)
+            if wrong.any():
+                raise ValueError(
+                    f"action={choice[wrong][0]} must be an integer in "
+                    f"[0, {self.action_size})"
+                )
+        return action
+
 
 @dataclasses.dataclass(frozen=True)
 class Episode:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
@@ -77,15 +78,17 @@ class WaterOptions:
         _check_choice("reward", self.reward, ("sparse", "dense"))
         _check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
         _check_choice("actions", self.actions, ("continuous", "discrete"))
-        object.__setattr__(self, "extra_observations", tuple(self.extra_observations))
-        for name in self.extra_observations:
+        extras = _as_tuple("extra_observations", self.extra_observations)
+        object.__setattr__(self, "extra_observations", extras)
+        for name in extras:
             _check_choice("extra_observations", name, EXTRA_OBSERVATIONS)
-        low, high = self.goal_distance_m or (0.0, 0.0)
-        object.__setattr__(self, "goal_distance_m", (float(low), float(high)))
-        if not 0.0 < low <= high < math.inf:
-            raise ValueError(
-                f"goal_distance_m={self.goal_distance_m} must be 0 < nearest <= farthest"
-            )
+        distances = _as_tuple("goal_distance_m", self.goal_distance_m)
+        for distance in distances:
+            _check_range("goal_distance_m", distance, above=0.0, most=1e4)
+        if len(distances) != 2 or distances[0] > distances[1]:
+            raise ValueError(f"goal_distance_m={distances} must be (nearest, farthest)")
+        low, high = float(distances[0]), float(distances[1])
+        object.__setattr__(self, "goal_distance_m", (low, high))
         _check_range("goal_tolerance_m", self.goal_tolerance_m, above=0.0)
         if self.goal_tolerance_m >= low:
             raise ValueError(
@@ -103,15 +106,21 @@ class WaterOptions:
             _check_range("peak_period_s", self.peak_period_s, least=0.4, most=1e5)
         _check_range("current_m_s", self.current_m_s, least=0.0, most=5.0)
         _check_range("control_interval_s", self.control_interval_s, above=0.0, most=10.0)
-        _check_range("substep_s", self.substep_s, above=0.0, most=0.1)
+        _check_range("substep_s", self.substep_s, least=1e-4, most=0.1)
         ratio = self.control_interval_s / self.substep_s
         if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise ValueError(
                 f"control_interval_s={self.control_interval_s} must be a multiple of "
                 f"substep_s={self.substep_s}"
             )
-        _check_range("step_limit", self.step_limit, least=1)
-        _check_range("wave_components", self.wave_components, least=1, most=1000)
+        for name, most in (("step_limit", math.inf), ("wave_components", 1000)):
+            if not isinstance(getattr(self, name), int | np.integer):
+                raise ValueError(f"{name}={getattr(self, name)!r} must be an integer")
+            _check_range(name, getattr(self, name), least=1, most=most)
+        if not isinstance(self.dead_zone_compensated, bool | np.bool_):
+            raise ValueError(
+                f"dead_zone_compensated={self.dead_zone_compensated!r} must be a bool"
+            )
 
 
 class WaterTask(NavigationTask):
@@ -292,8 +301,14 @@ class WaterTask(NavigationTask):
         return values
 
 
+def _as_tuple(name: str, values: Any) -> tuple:
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise ValueError(f"{name}={values!r} must be a sequence")
+    return tuple(values)
+
+
 def _check_choice(name: str, value: Any, choices: Any) -> None:
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
 
 

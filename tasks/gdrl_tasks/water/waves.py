@@ -113,9 +113,10 @@ def draw_sea(
     """Draw one episode's wave components.
 
     The spectrum up to the cut-off is split into bins of equal energy; each bin becomes
-    one component at the frequency that keeps the bin's m-1, so height and energy period
-    of the sum are those of the spectrum. Energy beyond the cut-off (waves the hull
-    points cannot resolve) is spread over the components by scaling their heights.
+    one component at the frequency that keeps the bin's m-1. Energy beyond the cut-off
+    (waves the hull points cannot resolve) is spread over the components by scaling their
+    heights, and their frequencies are scaled so that height and energy period of the sum
+    stay those of the whole spectrum (as far as the cut-off leaves room for that).
 
     Args:
         generator: Source of the directions and phases.
@@ -138,6 +139,9 @@ def draw_sea(
     edges = np.interp(np.linspace(0.0, total, num_components + 1), zeroth, ratio)
     below = np.interp(edges, ratio, minus_first)
     omega = peak * (total / num_components) / np.diff(below)
+    # Waves cut off would have shortened the energy period: shorten the others instead.
+    longer = (below[-1] / total) / (minus_first[-1] / zeroth[-1])
+    omega = np.minimum(omega * longer, peak * highest)
     # cos^2 spreading on each side of the mean direction, by its inverse distribution.
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 181)
     share = 0.5 + (angle + 0.5 * np.sin(2.0 * angle)) / math.pi

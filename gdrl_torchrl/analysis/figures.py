@@ -1,0 +1,317 @@
+"""Figures of one run: how it learned, and where its boats went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+
+from gdrl_torchrl.analysis import style
+from gdrl_torchrl.analysis.run_files import (
+    EVALUATION_FILE,
+    read_evaluation,
+    read_metrics,
+    read_trajectories,
+)
+
+# Column of metrics.csv, its label, what one tick is worth, and the panel's width.
+_COSTS = (
+    ("total_steps", "environment steps, agent and population", 1.0, 2.0),
+    ("agent_steps", "steps of the agent", 1.0, 1.0),
+    ("wall_s", "wall time (min)", 60.0, 1.0),
+)
+_VIEW_MARGIN_M = 1.0
+_WANDERER_REACH = 1.5
+"""Paths farther out than this times the farthest goal do not widen the view."""
+
+
+def draw_learning_curve(run_dir: str | Path) -> Path:
+    """Write ``figures/learning_curve.png`` of a run.
+
+    Success rate over all environment steps, over the agent's own and over time, with
+    the genetic evaluations, their mutation probability and the held-out success.
+
+    Args:
+        run_dir: Directory with ``metrics.csv`` and, once it is there,
+            ``evaluation.json``.
+
+    Returns:
+        The file written.
+    """
+    run_dir = Path(run_dir)
+    has_evaluation = (run_dir / EVALUATION_FILE).exists()
+    evaluation = read_evaluation(run_dir) if has_evaluation else None
+    figure = make_learning_curve(read_metrics(run_dir), evaluation)
+    return style.save(figure, run_dir / "figures" / "learning_curve.png")
+
+
+def make_learning_curve(
+    metrics: dict[str, np.ndarray], evaluation: dict[str, Any] | None = None
+) -> Figure:
+    """Make the figure of :func:`draw_learning_curve`.
+
+    Args:
+        metrics: Columns ``[R]`` of :func:`~gdrl_torchrl.analysis.run_files.read_metrics`.
+        evaluation: Held-out evaluation, if there was one.
+
+    Returns:
+        One column of panels per cost: success rate and, if there were genetic
+        evaluations, mutation probability below it.
+    """
+    is_evaluation = np.isfinite(metrics.get("evaluation", np.zeros(0)))
+    num_rows = 2 if is_evaluation.any() else 1
+    figure = style.new_figure(11.0, 3.2 + 1.4 * num_rows, layout="constrained")
+    panels = figure.subplots(
+        num_rows,
+        len(_COSTS),
+        sharex="col",
+        sharey="row",
+        squeeze=False,
+        width_ratios=[width for *_, width in _COSTS],
+        height_ratios=[3.0, 1.0][:num_rows],
+    )
+    for column, (cost, label, unit, _) in enumerate(_COSTS):
+        top = panels[0, column]
+        x = metrics[cost] / unit
+        known = np.isfinite(metrics["success_rate"])
+        top.plot(x[known], metrics["success_rate"][known], color=style.BLUE, lw=1.6)
+        if num_rows == 2:
+            _draw_evaluations(top, panels[1, column], x, metrics)
+        if evaluation is not None:
+            _draw_held_out(top, evaluation[cost] / unit, evaluation)
+        for axes in panels[:, column]:
+            style.quiet(axes)
+        panels[-1, column].set_xlabel(label, fontsize=10)
+        panels[-1, column].xaxis.set_major_locator(MaxNLocator(6 if column == 0 else 4))
+        panels[-1, column].set_xlim(left=0.0)
+        if unit == 1.0:
+            panels[-1, column].xaxis.set_major_formatter(EngFormatter(sep=""))
+    panels[0, 0].set_ylim(-0.02, 1.05)
+    panels[0, 0].yaxis.set_major_formatter(PercentFormatter(1.0))
+    panels[0, 0].set_ylabel("success rate", fontsize=10)
+    if num_rows == 2:
+        panels[1, 0].set_ylim(0.0, 1.0)
+        panels[1, 0].set_ylabel("mutation\nprobability", fontsize=10)
+    _add_legend(figure, metrics, evaluation)
+    if evaluation is not None:
+        title = "{algorithm} on {task}, seed {seed}".format_map(evaluation)
+        figure.suptitle(title, fontsize=12, color=style.INK)
+    return figure
+
+
+def draw_trajectories(run_dir: str | Path) -> Path:
+    """Write ``figures/trajectories.png`` of a run.
+
+    Args:
+        run_dir: Directory with ``trajectories.npz``.
+
+    Returns:
+        The file written.
+    """
+    figure = make_trajectories(read_trajectories(run_dir))
+    return style.save(figure, Path(run_dir) / "figures" / "trajectories.png")
+
+
+def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
+    """Make the figure of :func:`draw_trajectories`.
+
+    Args:
+        trajectories: Arrays of
+            :func:`gdrl_torchrl.training.video.record_trajectories`.
+
+    Returns:
+        The paths from above, x to the right and y up, in metres, coloured by outcome.
+    """
+    position, goal = trajectories["position"], trajectories["goal"]
+    names = [str(trajectories["outcome_names"][i]) for i in trajectories["outcome"]]
+    figure = style.new_figure(8.4, 8.0, layout="constrained")
+    axes = figure.add_subplot()
+    _draw_sea(figure, axes, trajectories)
+    for name in sorted(set(names), key=list(style.OUTCOME_COLOURS).index):
+        chosen = [k for k, other in enumerate(names) if other == name]
+        colour = style.OUTCOME_COLOURS[name]
+        paths = [position[: trajectories["steps"][k] + 1, k] for k in chosen]
+        axes.add_collection(
+            LineCollection(
+                paths,
+                colors=colour,
+                linestyles=[style.OUTCOME_DASHES[name]],
+                linewidths=1.3,
+                alpha=0.85,
+                label=f"{name} ({len(chosen)})",
+                zorder=3,
+            )
+        )
+        rings = [Circle(tuple(goal[k]), float(trajectories["tolerance"])) for k in chosen]
+        axes.add_collection(
+            PatchCollection(
+                rings, facecolor=(1, 1, 1, 0.55), edgecolor=colour, linewidths=1.2, zorder=2
+            )
+        )
+    start = position[0]
+    axes.plot(
+        *start.T,
+        linestyle="none",
+        marker="o",
+        markersize=7,
+        color=style.INK,
+        markeredgecolor="white",
+        label="start",
+        zorder=5,
+    )
+    reach = view_reach(trajectories)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    axes.set_xlabel("x (m)", fontsize=10)
+    axes.set_ylabel("y (m)", fontsize=10)
+    axes.tick_params(length=3, color="#b0b0b0", labelsize=9)
+    axes.spines[:].set_color("#b0b0b0")
+    handles, labels = axes.get_legend_handles_labels()
+    tolerance = f"goal, within {float(trajectories['tolerance']):g} m"
+    ring = Line2D([], [], ls="none", marker="o", ms=9, mfc="white", mec=style.GREY)
+    figure.legend(
+        [*handles, ring],
+        [*labels, tolerance],
+        loc="outside lower center",
+        ncols=len(handles) + 1,
+        frameon=False,
+        fontsize=10,
+    )
+    title = f"{len(names)} episodes from above"
+    if "sea_elevation" in trajectories:
+        title += "; the sea is the first episode's, as it began"
+    axes.set_title(title, fontsize=12, color=style.INK, pad=10)
+    return figure
+
+
+def view_reach(trajectories: dict[str, np.ndarray]) -> float:
+    """Half the side of the square view, metres, around the origin.
+
+    All goals are in it, and all paths but those of boats that wandered far off.
+    """
+    goals = np.abs(trajectories["goal"]).max() + float(trajectories["tolerance"])
+    paths = np.nanmax(np.abs(trajectories["position"]))
+    return float(min(max(goals, paths), _WANDERER_REACH * goals) + _VIEW_MARGIN_M)
+
+
+def wilson_interval(rate: float, count: int) -> tuple[float, float]:
+    """95 % interval of a probability (Wilson 1927), from its rate over ``count`` trials.
+
+    Examples:
+        >>> low, high = wilson_interval(0.5, 100)
+        >>> round(low, 3), round(high, 3)
+        (0.404, 0.596)
+    """
+    z = 1.959964
+    scale = 1.0 / (1.0 + z * z / count)
+    centre = scale * (rate + 0.5 * z * z / count)
+    half = scale * z * np.sqrt(rate * (1.0 - rate) / count + 0.25 * z * z / count**2)
+    return float(max(centre - half, 0.0)), float(min(centre + half, 1.0))
+
+
+def _draw_evaluations(
+    top: Axes, bottom: Axes, x: np.ndarray, metrics: dict[str, np.ndarray]
+) -> None:
+    """Mark switches in the upper panel; steps of the mutation probability below."""
+    rows = np.isfinite(metrics["evaluation"])
+    switched = rows & (metrics["switched"] > 0.5)
+    kept = rows & ~switched
+    probability = metrics["mut_p"]
+    for at in x[switched]:
+        top.axvline(at, color=style.GREEN, lw=0.8, alpha=0.35, zorder=1)
+    # The probability holds until the next evaluation finds another one.
+    edges, values = np.append(x[rows], x[-1]), probability[rows]
+    bottom.step(edges, np.append(values, values[-1]), where="post", color="#b0b0b0", lw=1.2)
+    bottom.plot(
+        x[kept],
+        probability[kept],
+        ls="none",
+        marker="o",
+        ms=4.5,
+        mfc="white",
+        mec=style.GREY,
+    )
+    bottom.plot(
+        x[switched], probability[switched], ls="none", marker="^", ms=6, color=style.GREEN
+    )
+
+
+def _draw_held_out(axes: Axes, x: float, evaluation: dict[str, Any]) -> None:
+    rate = evaluation["success_rate"]
+    low, high = wilson_interval(rate, evaluation["episodes"])
+    axes.errorbar(
+        x,
+        rate,
+        yerr=[[max(rate - low, 0.0)], [max(high - rate, 0.0)]],
+        marker="D",
+        markersize=6,
+        color=style.VERMILION,
+        markeredgecolor="white",
+        capsize=3,
+        lw=1.2,
+        zorder=5,
+        clip_on=False,
+    )
+
+
+def _add_legend(
+    figure: Figure, metrics: dict[str, np.ndarray], evaluation: dict[str, Any] | None
+) -> None:
+    handles = [Line2D([], [], color=style.BLUE, lw=1.6)]
+    labels = ["training, with exploration"]
+    rows = np.isfinite(metrics.get("evaluation", np.zeros(0)))
+    if rows.any():
+        switches = int((metrics["switched"][rows] > 0.5).sum())
+        handles += [
+            Line2D([], [], ls="none", marker="^", ms=6, color=style.GREEN),
+            Line2D([], [], ls="none", marker="o", ms=4.5, mfc="white", mec=style.GREY),
+        ]
+        labels += [
+            f"genetic evaluation, a child took over ({switches})",
+            f"the agent stayed ({int(rows.sum()) - switches})",
+        ]
+    if evaluation is not None:
+        marker = {"marker": "D", "ms": 6, "mec": "white"}
+        handles.append(Line2D([], [], ls="none", color=style.VERMILION, **marker))
+        rate, episodes = evaluation["success_rate"], evaluation["episodes"]
+        labels.append(f"held out: {100.0 * rate:.1f} % of {episodes} episodes")
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=len(handles),
+        frameon=False,
+        fontsize=9.5,
+    )
+
+
+def _draw_sea(figure: Figure, axes: Axes, trajectories: dict[str, np.ndarray]) -> None:
+    """Paint the wave field with its colour bar, or still water without one."""
+    axes.set_facecolor(style.STILL_WATER)
+    if "sea_elevation" not in trajectories:
+        return
+    elevation = trajectories["sea_elevation"]
+    highest = float(np.abs(elevation).max())
+    if highest == 0.0:
+        return
+    x, y = trajectories["sea_x"], trajectories["sea_y"]
+    image = axes.imshow(
+        elevation,
+        origin="lower",
+        extent=(x[0], x[-1], y[0], y[-1]),
+        cmap=style.SEA_COLOURS,
+        vmin=-highest,
+        vmax=highest,
+        interpolation="bilinear",
+        zorder=1,
+    )
+    bar = figure.colorbar(image, ax=axes, shrink=0.55, pad=0.02, aspect=28)
+    bar.set_label("elevation of the surface (m)", fontsize=10)
+    bar.ax.tick_params(labelsize=9, length=3)
+    bar.outline.set_edgecolor("#b0b0b0")

@@ -1,0 +1,74 @@
+"""The only place that knows Hydra: registering schemas, turning configs to objects."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from gdrl_tasks import task_names
+from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from gdrl_torchrl.config import schema
+from gdrl_torchrl.config.task import task_config_class
+
+CONFIG_MODULE = "gdrl_torchrl.conf"
+_PROVIDER = "gdrl_torchrl"
+
+
+@functools.cache
+def register_configs() -> None:
+    """Store every schema in Hydra's ConfigStore under our own provider."""
+    store = ConfigStore.instance()
+
+    def add(name: str, node: Any, group: str | None = None) -> None:
+        store.store(name=name, node=node, group=group, provider=_PROVIDER)
+
+    add("experiment_config", schema.ExperimentConfig)
+    add("ppo_config", schema.PPOConfig, "algorithm")
+    add("network_config", schema.NetworkConfig, "network")
+    add("evolution_config", schema.EvolutionConfig, "evolution")
+    for name in task_names():
+        add(f"{name}_config", task_config_class(name), "task")
+
+
+def to_experiment(config: DictConfig) -> schema.ExperimentConfig:
+    """Make the typed configuration of a composed one.
+
+    Raises:
+        ValueError: If a value is missing or out of range.
+    """
+    try:
+        experiment = OmegaConf.to_object(config)
+    except OmegaConfBaseException as error:
+        raise ValueError(str(error)) from error
+    assert isinstance(experiment, schema.ExperimentConfig)
+    return experiment
+
+
+def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:
+    """Compose a configuration as the command line would.
+
+    Examples:
+        >>> load_experiment(["experiment=gppo_water", "seed=3"]).seed
+        3
+    """
+    register_configs()
+    with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
+        return to_experiment(compose("config", overrides=overrides))
+
+
+def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:
+    """A saved task configuration with ``option=value`` overrides.
+
+    Raises:
+        ValueError: If an option is unknown or its value has the wrong type.
+    """
+    base = OmegaConf.structured(task_config_class(saved["name"])(**saved))
+    try:
+        merged = OmegaConf.merge(base, OmegaConf.from_dotlist(overrides))
+        return OmegaConf.to_object(merged)
+    except OmegaConfBaseException as error:
+        raise ValueError(f"task: {error}") from error

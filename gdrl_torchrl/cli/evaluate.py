@@ -1,0 +1,82 @@
+"""``gdrl-evaluate run=<dir> episodes=N task.sea=rough ...``: evaluate a run again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from gdrl_torchrl.cli.compose import merge_task
+from gdrl_torchrl.config.schema import EvaluationConfig, NetworkConfig
+
+_USAGE = (
+    "usage: gdrl-evaluate run=<run directory> [episodes=N] [seed=N] "
+    "[task.<option>=<value> ...]"
+)
+
+
+def evaluate_run(arguments: list[str]) -> dict[str, Any]:
+    """Evaluate the final policy of a run on held-out worlds, perhaps other ones.
+
+    Args:
+        arguments: As on the command line.
+
+    Returns:
+        The evaluation, with the overrides.
+
+    Raises:
+        ValueError: If an argument is unknown or not valid, or the run has no policy.
+    """
+    values: dict[str, str] = {}
+    overrides: list[str] = []
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        if name.startswith("task.") and equals:
+            overrides.append(argument.removeprefix("task."))
+        elif name in ("run", "episodes", "seed") and equals:
+            values[name] = value
+        else:
+            raise ValueError(f"unknown argument {argument!r}\n{_USAGE}")
+    if "run" not in values:
+        raise ValueError(_USAGE)
+    run = Path(values["run"])
+    if not (run / "config.json").exists():
+        raise ValueError(f"run={run} is not a run directory: it has no config.json")
+    saved = json.loads((run / "config.json").read_text())
+    settings = saved["evaluation"] | {
+        name: int(values[name]) for name in ("episodes", "seed") if name in values
+    }
+    # torch takes seconds to import: arguments are checked before.
+    from gdrl_torchrl.config.task import make_task_from_config
+    from gdrl_torchrl.training.build import make_actor
+    from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
+
+    task_config = merge_task(saved["task"], overrides)
+    task = make_task_from_config(task_config)
+    actor = make_actor(task, NetworkConfig(**saved["network"]))
+    load_policy(run / "final", actor)
+    evaluation = EvaluationConfig(**settings)
+    scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
+    return {
+        "task": task.name,
+        "run": str(run),
+        "overrides": [f"task.{override}" for override in overrides],
+        **dataclasses.asdict(evaluation),
+        **scores,
+        "params_sha256": params_sha256(actor),
+    }
+
+
+def main() -> None:
+    """Entry point of ``gdrl-evaluate``."""
+    try:
+        result = evaluate_run(sys.argv[1:])
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

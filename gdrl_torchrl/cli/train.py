@@ -1,0 +1,39 @@
+"""``gdrl-train experiment=<name> ...``: train or go on; prints the run directory."""
+
+from __future__ import annotations
+
+import sys
+
+import hydra
+from omegaconf import DictConfig
+
+from gdrl_torchrl.cli.compose import CONFIG_MODULE, register_configs, to_experiment
+
+
+@hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name="config", version_base="1.3")
+def _train(config: DictConfig) -> None:
+    try:
+        experiment = to_experiment(config)
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    # Imported here so that --help and mistakes are answered at once.
+    from gdrl_torchrl.training.run import Interrupted, run_experiment
+    from gdrl_torchrl.training.run_directory import RunDirectoryError
+
+    try:
+        print(run_experiment(experiment))
+    except Interrupted as stop:
+        print(stop, file=sys.stderr)
+        sys.exit(128 + stop.signal)
+    except (ValueError, RunDirectoryError) as error:
+        sys.exit(f"error: {error}")
+
+
+def main() -> None:
+    """Entry point of ``gdrl-train``."""
+    register_configs()
+    _train()
+
+
+if __name__ == "__main__":
+    main()

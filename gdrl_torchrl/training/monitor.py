@@ -1,0 +1,251 @@
+"""What a run reports while it trains, when it saves, and when it ends."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+
+from tensordict import TensorDictBase
+from torchrl.record.loggers import Logger
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import TrainerHookBase
+from tqdm import tqdm
+
+from gdrl_torchrl import keys
+from gdrl_torchrl.config.schema import BudgetConfig
+from gdrl_torchrl.training.genetic import PARENT, GeneticEvaluation, GeneticHook
+from gdrl_torchrl.training.run_directory import MetricsTable
+
+COLUMNS = (
+    "agent_steps",
+    "population_steps",
+    "total_steps",
+    "wall_s",
+    "episodes",
+    "success_rate",
+    "return_mean",
+    "evaluations",
+    "switches",
+    "mut_p",
+    "fitness_best",
+    "fitness_parent",
+    "fitness_mean",
+    "winner",
+    "switched",
+)
+_logger = logging.getLogger(__name__)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+_SECONDS_BETWEEN_LINES = 15.0
+
+
+class RunMonitor(TrainerHookBase):
+    """Counts every cost, writes metrics, shows progress, saves and ends training.
+
+    Args:
+        genetic: The genetic hook, for its window and counters.
+        budget: When to end.
+        table: Gets one row per batch.
+        save: Called with the agent's steps to save a checkpoint.
+        save_interval_s: Seconds between checkpoints.
+        logger: Also gets every number.
+
+    Attributes:
+        interrupted_by: The signal that ended training, or None.
+    """
+
+    def __init__(
+        self,
+        genetic: GeneticHook,
+        budget: BudgetConfig,
+        table: MetricsTable,
+        *,
+        save: Callable[[int], object],
+        save_interval_s: float = 30.0,
+        logger: Logger | None = None,
+    ) -> None:
+        self.genetic = genetic
+        self.budget = budget
+        self.table = table
+        self.save = save
+        self.save_interval_s = save_interval_s
+        self.logger = logger
+        self.interrupted_by: signal.Signals | None = None
+        self.wall_s_before = 0.0
+        self._started = time.monotonic()
+        self._saved = self._started
+        self._said = self._started
+        self._evaluation: GeneticEvaluation | None = None
+        self._batch_stats: dict[str, float] = {}
+        self._trainer: Trainer | None = None
+        self._bar: tqdm | None = None
+        self._previous_handlers: dict[signal.Signals, Any] = {}
+        genetic.on_evaluation.append(self._note_evaluation)
+
+    def register(self, trainer: Trainer, name: str = "run_monitor") -> None:
+        """Register with a trainer, after every hook whose work is to be reported."""
+        self._trainer = trainer
+        trainer.register_op("pre_steps_log", self._note_batch)
+        trainer.register_op("post_steps", self)
+
+    def start(self) -> None:
+        """Start the clock, the progress bar and the handling of signals."""
+        self._started = self._saved = self._said = time.monotonic()
+        for number in _SIGNALS:
+            self._previous_handlers[number] = signal.signal(number, self._interrupt)
+        self._bar = tqdm(
+            total=self.budget.agent_steps or self.budget.total_steps,
+            initial=self._progress(),
+            unit="step",
+            unit_scale=True,
+            file=sys.stderr,
+            disable=None,
+            dynamic_ncols=True,
+        )
+
+    def stop(self) -> None:
+        """Give back the signals and close the bar."""
+        for number, handler in self._previous_handlers.items():
+            signal.signal(number, handler)
+        self._previous_handlers.clear()
+        if self._bar is not None:
+            self._bar.close()
+
+    @property
+    def agent_steps(self) -> int:
+        """Environment steps of the agent."""
+        return int(self._trainer.collected_frames) if self._trainer else 0
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds of training, earlier starts of the run included."""
+        return self.wall_s_before + time.monotonic() - self._started
+
+    def counters(self) -> dict[str, float]:
+        """Every cost so far."""
+        population = self.genetic.population_steps
+        return {
+            "agent_steps": self.agent_steps,
+            "population_steps": population,
+            "total_steps": self.agent_steps + population,
+            "wall_s": round(self.wall_s, 3),
+            "evaluations": self.genetic.num_evaluations,
+            "switches": self.genetic.num_switches,
+        }
+
+    def __call__(self) -> None:
+        """Report, and save or end if it is time."""
+        row = self._row()
+        self.table.append(row)
+        if self.logger is not None:
+            for name, value in row.items():
+                if value is not None and name != "agent_steps":
+                    self.logger.log_scalar(f"train/{name}", value, step=self.agent_steps)
+        self._show(row)
+        spent = is_spent(self.budget, row)
+        if spent or self.interrupted_by is not None:
+            assert self._trainer is not None
+            self._trainer.request_stop()
+        now = time.monotonic()
+        if spent or self.interrupted_by or now - self._saved >= self.save_interval_s:
+            self.save(self.agent_steps)
+            self._saved = time.monotonic()
+
+    def state_dict(self) -> dict[str, Any]:
+        """The clock; other counters belong to trainer and hook."""
+        return {"wall_s": self.wall_s}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.wall_s_before = state_dict["wall_s"]
+        self._started = time.monotonic()
+
+    def _row(self) -> dict[str, Any]:
+        counters = self.counters()
+        row: dict[str, Any] = {
+            **counters,
+            "episodes": self.genetic.episodes_completed,
+            "success_rate": self.genetic.window.running_rate,
+            "return_mean": self._batch_stats.get("return_mean"),
+        }
+        if self._evaluation is not None:
+            fitness = self._evaluation.scores[keys.FITNESS]
+            row |= {
+                "mut_p": self._evaluation.mut_p,
+                "fitness_best": float(fitness[self._evaluation.winner]),
+                "fitness_parent": float(fitness[PARENT]),
+                "fitness_mean": float(fitness.nanmean()),
+                "winner": self._evaluation.winner,
+                "switched": int(self._evaluation.switched),
+            }
+            self._evaluation = None
+        return row
+
+    def _note_batch(self, batch: TensorDictBase) -> None:
+        done = batch["next", keys.DONE]
+        returns = batch.get(("next", keys.EPISODE_RETURN), None)
+        self._batch_stats = {}
+        if returns is not None and bool(done.any()):
+            self._batch_stats["return_mean"] = float(returns[done].mean())
+
+    def _note_evaluation(self, evaluation: GeneticEvaluation) -> None:
+        self._evaluation = evaluation
+
+    def _progress(self) -> int:
+        if self.budget.agent_steps is None and self.budget.total_steps is not None:
+            return self.agent_steps + self.genetic.population_steps
+        return self.agent_steps
+
+    def _show(self, row: dict[str, Any]) -> None:
+        rate = row["success_rate"]
+        success = "  ?" if rate is None else f"{rate:.2f}"
+        assert self._bar is not None
+        if not self._bar.disable:
+            self._bar.set_postfix_str(
+                f"success {success}, population {row['population_steps']:,} steps, "
+                f"switches {row['switches']}/{row['evaluations']}",
+                refresh=False,
+            )
+            self._bar.update(self._progress() - self._bar.n)
+        elif time.monotonic() - self._said >= _SECONDS_BETWEEN_LINES:
+            self._said = time.monotonic()
+            _logger.info(
+                "%d agent steps, %d population steps, %.0f s: success %s, switches %d/%d",
+                row["agent_steps"],
+                row["population_steps"],
+                row["wall_s"],
+                success,
+                row["switches"],
+                row["evaluations"],
+            )
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.interrupted_by = signal.Signals(number)
+        _logger.warning(
+            "%s: finishing this iteration, then saving", self.interrupted_by.name
+        )
+
+
+def is_spent(budget: BudgetConfig, counters: dict[str, Any]) -> bool:
+    """Whether one of the budgets is reached.
+
+    Examples:
+        >>> counters = {"agent_steps": 10, "total_steps": 30, "wall_s": 1.0}
+        >>> is_spent(BudgetConfig(agent_steps=11), counters)
+        False
+        >>> is_spent(BudgetConfig(agent_steps=11, total_steps=30), counters)
+        True
+    """
+    limits = (
+        (budget.agent_steps, counters["agent_steps"]),
+        (budget.total_steps, counters["total_steps"]),
+        (budget.wall_s, counters["wall_s"]),
+    )
+    return any(limit is not None and spent >= limit for limit, spent in limits)
+
+

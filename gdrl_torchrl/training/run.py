@@ -1,0 +1,182 @@
+"""One run from start to end: train or go on, evaluate, draw."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import logging
+import signal
+from pathlib import Path
+from typing import Any
+
+from torchrl.record.loggers import Logger
+
+from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
+from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.training.build import Training, build_training
+from gdrl_torchrl.training.checkpoint import (
+    Checkpoints,
+    TrainingState,
+    seed_everything,
+)
+from gdrl_torchrl.training.evaluate import (
+    evaluate_policy,
+    evaluation_record,
+    greedy_act,
+    held_out_seeds,
+    params_sha256,
+    save_policy,
+)
+from gdrl_torchrl.training.monitor import COLUMNS, RunMonitor, is_spent
+from gdrl_torchrl.training.run_directory import MetricsTable, RunDirectory, code_version
+from gdrl_torchrl.training.video import (
+    record_trajectories,
+    save_trajectories,
+    write_video,
+)
+
+_logger = logging.getLogger(__name__)
+_TRAJECTORIES_DRAWN = 60
+
+
+class Interrupted(RuntimeError):
+    """A signal ended training; the run was saved and can be resumed.
+
+    Attributes:
+        signal: The signal.
+        path: The run directory.
+    """
+
+    def __init__(self, number: signal.Signals, path: Path) -> None:
+        super().__init__(
+            f"stopped by {number.name} and saved: the same command goes on with {path}"
+        )
+        self.signal = number
+        self.path = path
+
+
+def run_experiment(config: ExperimentConfig) -> Path:
+    """Bring a run to its end and return its directory.
+
+    A run that is complete under this configuration is returned as it is; one that was
+    begun goes on from its last checkpoint.
+
+    Raises:
+        ValueError: If the configuration is not valid.
+        RunDirectoryError: If the directory cannot be used.
+        Interrupted: If a signal stopped training.
+    """
+    directory = RunDirectory.of(config)
+    with directory.locked():
+        if _is_complete(directory, config):
+            _logger.info("already complete: %s", directory.path)
+            return directory.path
+        directory.open(config)
+        directory.done.unlink(missing_ok=True)
+        seed_everything(config.seed)
+        training = build_training(config)
+        try:
+            costs = _train(directory, config, training)
+            _report(directory, config, training, costs)
+        finally:
+            training.close()
+        directory.write_json(
+            "DONE",
+            {
+                "code": code_version(),
+                "costs": costs,
+                "evaluation": dataclasses.asdict(config.evaluation),
+            },
+        )
+    return directory.path
+
+
+def _is_complete(directory: RunDirectory, config: ExperimentConfig) -> bool:
+    done = directory.read_json("DONE")
+    return (
+        done is not None
+        and (done["code"] == code_version() or config.force)
+        and is_spent(config.budget, done["costs"])
+        and done["evaluation"] == dataclasses.asdict(config.evaluation)
+    )
+
+
+def _train(
+    directory: RunDirectory, config: ExperimentConfig, training: Training
+) -> dict[str, Any]:
+    table = MetricsTable(directory.metrics, COLUMNS)
+    with contextlib.ExitStack() as stack:
+        logger = _make_logger(directory, config, stack)
+        monitor = RunMonitor(
+            training.genetic,
+            config.budget,
+            table,
+            save=lambda step: checkpoints.save(step),
+            save_interval_s=config.checkpoint.interval_s,
+            logger=logger,
+        )
+        monitor.register(training.trainer)
+        state = TrainingState(training, monitor)
+        checkpoints = Checkpoints(
+            directory.checkpoints, state, keep=config.checkpoint.keep
+        )
+        if checkpoints.load_latest():
+            _logger.info("going on at %d agent steps", monitor.agent_steps)
+        table.cut_after(monitor.agent_steps)
+        if not is_spent(config.budget, monitor.counters()):
+            monitor.start()
+            stack.callback(monitor.stop)
+            training.trainer.train()
+        costs = monitor.counters()
+        if monitor.interrupted_by is not None and not is_spent(config.budget, costs):
+            raise Interrupted(monitor.interrupted_by, directory.path)
+    return costs
+
+
+def _make_logger(
+    directory: RunDirectory, config: ExperimentConfig, stack: contextlib.ExitStack
+) -> Logger | None:
+    if not config.logger.tensorboard:
+        return None
+    # Imported here because tensorboard takes a second to import.
+    from torchrl.record.loggers.tensorboard import TensorboardLogger
+
+    logger = TensorboardLogger("tensorboard", log_dir=str(directory.path))
+    stack.callback(logger.experiment.close)
+    return logger
+
+
+def _report(
+    directory: RunDirectory,
+    config: ExperimentConfig,
+    training: Training,
+    costs: dict[str, Any],
+) -> None:
+    """Held-out evaluation, figures, video and the policy itself."""
+    task, actor = training.task, training.actor
+    threads = config.simulation.num_threads
+    scores = evaluate_policy(
+        task,
+        actor,
+        config.evaluation,
+        backend=config.task.backend,
+        num_threads=threads,
+    )
+    record = evaluation_record(config, scores, costs, params_sha256(actor))
+    directory.write_json("evaluation.json", record)
+    _logger.info(
+        "held-out success %.3f over %d episodes", scores["success_rate"], scores["episodes"]
+    )
+    save_policy(directory.path / "final", actor, task, config)
+    seeds = held_out_seeds(config.evaluation)
+    act = greedy_act(actor)
+    trajectories = record_trajectories(
+        task, act, seeds[:_TRAJECTORIES_DRAWN], num_threads=threads
+    )
+    save_trajectories(directory.path, trajectories)
+    draw_learning_curve(directory.path)
+    draw_trajectories(directory.path)
+    if config.logger.video_episodes:
+        video = directory.path / "videos" / "episodes.mp4"
+        how = write_video(task, act, seeds[: config.logger.video_episodes], video)
+        _logger.info("video %s: %s", how, video)

@@ -1,0 +1,356 @@
+"""What dm_control's suite asks of its tasks, asked of every task registered here."""
+
+import functools
+
+import numpy as np
+import pytest
+from dm_env import StepType, specs
+
+import gdrl_tasks
+
+VARIANTS = {
+    "water": [
+        {},
+        {"sea": "calm"},
+        {"difficulty": "far"},
+        {"actions": "discrete"},
+        {"reward": "dense"},
+        {"at_limit": "truncated"},
+        {"dead_zone_compensated": True, "current_m_s": 0.3},
+        {"extra_observations": ("velocity", "roll", "time_left")},
+    ]
+}
+CASES = [
+    pytest.param(name, options, id="-".join([name, *map(str, options)]))
+    for name in gdrl_tasks.task_names()
+    for options in VARIANTS.get(name, [{}])
+]
+every_task = pytest.mark.parametrize(("name", "options"), CASES)
+
+
+def random_policy(action_spec, seed):
+    generator = np.random.default_rng(seed)
+    if isinstance(action_spec, specs.DiscreteArray):
+        return lambda: generator.integers(action_spec.num_values)
+    low, high = action_spec.minimum, action_spec.maximum
+    return lambda: generator.uniform(low, high, action_spec.shape)
+
+
+def trajectory(environment, *, seed, num_episodes=3, longest=12):
+    policy = random_policy(environment.action_spec(), seed)
+    for _ in range(num_episodes):
+        time_step = environment.reset()
+        yield time_step
+        for _ in range(longest):
+            if time_step.last():
+                break
+            time_step = environment.step(policy())
+            yield time_step
+
+
+@functools.cache
+def reason_not_to_render():
+    """Why no frame can be drawn here, or None; asked of an empty model."""
+    from dm_control import mujoco
+
+    try:
+        mujoco.Physics.from_xml_string("<mujoco/>").render(8, 8)
+    except Exception as error:
+        return f"no OpenGL backend: {error}"
+    return None
+
+
+@pytest.fixture
+def opengl():
+    if reason_not_to_render():
+        pytest.skip(reason_not_to_render())
+
+
+def test_at_least_one_task_is_registered():
+    assert "water" in gdrl_tasks.task_names()
+    assert gdrl_tasks.task_names("discrete")
+    assert gdrl_tasks.task_names("no such tag") == ()
+
+
+@every_task
+def test_every_element_of_the_model_has_a_name(name, options):
+    model = gdrl_tasks.load(name, **options).physics.model
+    counts = {
+        "body": model.nbody,
+        "joint": model.njnt,
+        "geom": model.ngeom,
+        "site": model.nsite,
+        "camera": model.ncam,
+        "light": model.nlight,
+        "mesh": model.nmesh,
+        "hfield": model.nhfield,
+        "texture": model.ntex,
+        "material": model.nmat,
+        "equality": model.neq,
+        "tendon": model.ntendon,
+        "actuator": model.nu,
+        "sensor": model.nsensor,
+    }
+    unnamed = [
+        f"{kind} {number}"
+        for kind, count in counts.items()
+        for number in range(count)
+        if not model.id2name(number, kind)
+    ]
+    assert unnamed == []
+    assert model.id2name(0, "body") == "world"
+
+
+@every_task
+def test_a_model_has_a_top_and_a_chase_camera(name, options):
+    model = gdrl_tasks.load(name, **options).physics.model
+    cameras = {model.id2name(number, "camera") for number in range(model.ncam)}
+    assert cameras >= {"top", "chase"}
+
+
+@every_task
+def test_time_steps_conform_to_the_specs(name, options):
+    environment = gdrl_tasks.load(name, random=1, **options)
+    task = environment.task.task
+    observation_spec = environment.observation_spec()
+    low, high = task.spec.reward_range
+    for time_step in trajectory(environment, seed=1):
+        assert time_step.observation.keys() == observation_spec.keys()
+        for key, spec in observation_spec.items():
+            spec.validate(time_step.observation[key])
+            assert np.isfinite(time_step.observation[key]).all()
+        if time_step.first():
+            assert time_step.reward is None
+            assert time_step.discount is None
+        else:
+            assert isinstance(time_step.reward, float)
+            assert low <= time_step.reward <= high
+            environment.reward_spec().validate(np.asarray(time_step.reward))
+            environment.discount_spec().validate(np.asarray(time_step.discount))
+
+
+@every_task
+def test_continuous_actions_are_commands_between_minus_one_and_one(name, options):
+    spec = gdrl_tasks.load(name, **options).action_spec()
+    if isinstance(spec, specs.DiscreteArray):
+        assert spec.num_values > 1
+    else:
+        assert (spec.minimum == -1.0).all()
+        assert (spec.maximum == 1.0).all()
+
+
+@every_task
+def test_equal_seeds_and_actions_give_equal_trajectories(name, options):
+    first = trajectory(gdrl_tasks.load(name, random=7, **options), seed=0)
+    second = trajectory(gdrl_tasks.load(name, random=7, **options), seed=0)
+    for one, other in zip(first, second, strict=True):
+        assert one.step_type == other.step_type
+        assert one.reward == other.reward
+        assert one.discount == other.discount
+        for key, value in one.observation.items():
+            np.testing.assert_array_equal(value, other.observation[key])
+
+
+@every_task
+def test_seeds_change_the_episodes(name, options):
+    def first_observation(seed):
+        observation = gdrl_tasks.load(name, random=seed, **options).reset().observation
+        return np.concatenate(list(observation.values()))
+
+    assert (first_observation(0) != first_observation(1)).any()
+
+
+@every_task
+def test_the_initial_state_is_randomised(name, options):
+    environment = gdrl_tasks.load(name, random=42, **options)
+    starts = []
+    for _ in range(2):
+        observation = environment.reset().observation
+        state = environment.physics.get_state()
+        starts.append((np.concatenate(list(observation.values())), state))
+    assert (starts[0][0] != starts[1][0]).any()
+    assert (starts[0][1] != starts[1][1]).any()
+
+
+@every_task
+def test_observations_share_no_memory(name, options):
+    environment = gdrl_tasks.load(name, random=0, **options)
+    policy = random_policy(environment.action_spec(), 0)
+    steps = [environment.reset(), *(environment.step(policy()) for _ in range(2))]
+    for earlier, later in zip(steps, steps[1:], strict=False):
+        for key, value in earlier.observation.items():
+            assert not np.may_share_memory(value, later.observation[key])
+
+
+@every_task
+def test_no_element_of_an_observation_is_constant(name, options):
+    environment = gdrl_tasks.load(name, random=0, **options)
+    steps = list(trajectory(environment, seed=0, num_episodes=2, longest=60))
+    for key in environment.observation_spec():
+        values = np.array([step.observation[key] for step in steps])
+        assert (values != values[0]).any(axis=0).all(), f"{key} has a constant element"
+
+
+@every_task
+def test_observations_can_be_flat(name, options):
+    named = gdrl_tasks.load(name, random=0, **options)
+    flat = gdrl_tasks.load(
+        name, random=0, environment_kwargs={"flat_observation": True}, **options
+    )
+    (key,) = flat.observation_spec()
+    observation = flat.reset().observation
+    flat.observation_spec()[key].validate(observation[key])
+    expected = np.concatenate(list(named.reset().observation.values()))
+    np.testing.assert_array_equal(observation[key], expected)
+
+
+@every_task
+def test_time_between_actions_is_the_control_interval(name, options):
+    environment = gdrl_tasks.load(name, random=0, **options)
+    environment.reset()
+    start = environment.physics.time()
+    environment.step(random_policy(environment.action_spec(), 0)())
+    interval = environment.task.task.spec.control_interval_s
+    assert environment.physics.time() - start == pytest.approx(interval, abs=1e-12)
+    assert environment.control_timestep() == pytest.approx(interval, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", gdrl_tasks.task_names())
+@pytest.mark.parametrize(
+    ("at_limit", "discount", "reward"), [("terminated", 0.0, -1.0), ("truncated", 1.0, 0.0)]
+)
+def test_an_episode_ends_at_its_step_limit(name, at_limit, discount, reward):
+    environment = gdrl_tasks.load(name, random=0, at_limit=at_limit, step_limit=5)
+    environment.reset()
+    for step in range(5):
+        time_step = environment.step(np.zeros(2))
+        assert time_step.last() == (step == 4)
+        assert time_step.discount == (discount if step == 4 else 1.0)
+        assert time_step.reward == (reward if step == 4 else 0.0)
+    assert environment.task.outcome == gdrl_tasks.Outcome.TIMEOUT
+    assert environment.step(np.zeros(2)).step_type == StepType.FIRST
+
+
+def steps_to_a_goal_ahead(step_limit, **options):
+    """Full ahead to a goal just in front of the vessel; all time steps."""
+    environment = gdrl_tasks.load(
+        "water",
+        random=0,
+        sea="calm",
+        goal_distance_m=(1.0, 1.0),
+        step_limit=step_limit,
+        **options,
+    )
+    environment.reset()
+    suite_task, physics = environment.task, environment.physics
+    _, heading = suite_task.task.planar_pose(physics.data.qpos[None])
+    suite_task.arrays["goal"][0] = np.cos(heading[0]), np.sin(heading[0])
+    steps = [environment.step(np.ones(2))]
+    while not steps[-1].last():
+        steps.append(environment.step(np.ones(2)))
+    return environment, steps
+
+
+def test_the_goal_ends_an_episode_with_its_reward():
+    environment, steps = steps_to_a_goal_ahead(step_limit=100)
+    assert environment.task.outcome == gdrl_tasks.Outcome.SUCCESS
+    assert steps[-1].reward == 1.0
+    assert steps[-1].discount == 0.0
+    assert all(step.reward == 0.0 for step in steps[:-1])
+
+
+@pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
+def test_the_goal_wins_over_a_timeout_in_the_same_step(at_limit):
+    _, steps = steps_to_a_goal_ahead(step_limit=100)
+    environment, last = steps_to_a_goal_ahead(step_limit=len(steps), at_limit=at_limit)
+    assert environment.task.outcome == gdrl_tasks.Outcome.SUCCESS
+    assert (last[-1].reward, last[-1].discount) == (1.0, 0.0)
+    environment, early = steps_to_a_goal_ahead(step_limit=len(steps) - 1)
+    assert environment.task.outcome == gdrl_tasks.Outcome.TIMEOUT
+    assert early[-1].reward == -1.0
+
+
+def test_dense_rewards_add_up_to_the_distance_gained():
+    environment, steps = steps_to_a_goal_ahead(step_limit=100, reward="dense")
+    left = environment.task.arrays["distance"][0]
+    total = sum(step.reward for step in steps)
+    assert total == pytest.approx(1.0 + (1.0 - left), abs=0.02)
+    assert environment.task.arrays["episode_return"][0] == pytest.approx(total)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", gdrl_tasks.task_names())
+def test_both_cameras_draw_a_picture(name, opengl):
+    environment = gdrl_tasks.load(name, random=0)
+    environment.reset()
+    frames = [environment.physics.render(120, 160, camera_id=c) for c in ("top", "chase")]
+    for frame in frames:
+        assert frame.shape == (120, 160, 3)
+        assert frame.dtype == np.uint8
+        assert frame.std() > 3.0
+    assert (frames[0] != frames[1]).mean() > 0.2
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("name", gdrl_tasks.task_names())
+def test_rendering_does_not_change_what_happens(name, opengl):
+    seen, unseen = (gdrl_tasks.load(name, random=0) for _ in range(2))
+    policy = random_policy(seen.action_spec(), 0)
+    seen.reset(), unseen.reset()
+    for _ in range(10):
+        action = policy()
+        seen.physics.render(32, 32, camera_id="chase")
+        seen.step(action), unseen.step(action)
+        np.testing.assert_array_equal(
+            seen.physics.get_state(), unseen.physics.get_state()
+        )
+
+
+@pytest.mark.render
+def test_waves_are_visible_and_move(opengl):
+    def frames(sea):
+        environment = gdrl_tasks.load("water", random=0, sea=sea)
+        environment.reset()
+        views = []
+        for _ in range(2):
+            views.append(environment.physics.render(240, 320, camera_id="top"))
+            for _ in range(3):
+                environment.step(np.zeros(2))
+        return np.array(views, dtype=float)[:, :, :60]
+
+    lake, calm = frames("lake"), frames("calm")
+    assert calm.std(axis=(1, 2)).max() < 1.0
+    assert lake.std(axis=(1, 2)).min() > 3.0
+    assert np.abs(lake[1] - lake[0]).mean() > 3.0
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("difficulty", ["near", "far"])
+def test_the_top_camera_sees_the_whole_range_of_goals(difficulty, opengl):
+    environment = gdrl_tasks.load("water", random=0, difficulty=difficulty)
+    environment.reset()
+    farthest = environment.task.task.options.goal_distance_m[1]
+    for goal in ((0.0, farthest), (0.0, -farthest), (farthest, 0.0), (-farthest, 0.0)):
+        environment.physics.data.mocap_pos[0, :2] = goal
+        environment.task.arrays["goal"][0] = goal
+        ids = environment.physics.render(240, 320, camera_id="top", segmentation=True)
+        geom = environment.physics.model.name2id("goal_mark", "geom")
+        assert (ids[..., 0] == geom).any()
+
+
+@pytest.mark.render
+def test_the_drawn_surface_is_where_the_water_is(opengl):
+    environment = gdrl_tasks.load("water", random=0, significant_wave_height_m=0.4)
+    environment.reset()
+    environment.step(np.zeros(2))
+    environment.physics.render(16, 16, camera_id="top")
+    model, data = environment.physics.model, environment.physics.data
+    from gdrl_tasks.water.waves import elevation
+
+    nodes, half_side = model.hfield_nrow[0], model.hfield_size[0, 0]
+    side = np.linspace(-half_side, half_side, nodes)
+    x, y = np.meshgrid(side, side)
+    sea = environment.task.arrays
+    expected = elevation(sea, x.reshape(1, -1), y.reshape(1, -1), np.array([data.time]))
+    drawn = model.hfield_data * model.hfield_size[0, 2] + model.geom_pos[:, 2].min() + 0.05
+    np.testing.assert_allclose(drawn, np.clip(expected[0], -0.5, 0.5), atol=1e-6)
