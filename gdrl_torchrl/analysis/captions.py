@@ -55,7 +55,7 @@ class Captions:
         outcome = data["outcome_names"][data["outcome"][episode] if ended else 0]
         return (
             f"Episode {episode + 1} of {len(data['steps'])}",
-            f"{time_s:.1f} s",
+            f"{time_s:.2f} s",
             f"{distance_m:.2f} m to the goal",
             str(outcome),
         )
@@ -81,7 +81,7 @@ class Captions:
             pen.text((at * width, middle), text, colour, font, anchor)  # pyright: ignore
 
         write(0.02, title, "lm", _TEXT, self._bold)
-        write(0.33, time, "rm", _TEXT, self._font)
+        write(0.34, time, "rm", _TEXT, self._font)
         write(0.60, distance, "rm", _TEXT, self._font)
         colour = _OUTCOME_COLOURS.get(outcome, _FAINT)
         write(0.66, outcome, "lm", colour, self._bold)

@@ -65,7 +65,7 @@ def make_learning_curve(
         One column of panels per cost: success rate and, if there were genetic
         evaluations, mutation probability below it.
     """
-    is_evaluation = np.isfinite(metrics.get("evaluation", np.zeros(0)))
+    is_evaluation = evaluation_rows(metrics)
     num_rows = 2 if is_evaluation.any() else 1
     figure = style.new_figure(11.0, 3.2 + 1.4 * num_rows, layout="constrained")
     panels = figure.subplots(
@@ -190,6 +190,13 @@ def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
     return figure
 
 
+def evaluation_rows(metrics: dict[str, np.ndarray]) -> np.ndarray:
+    """Mask of the rows of training that ended with a genetic evaluation, ``[R]``."""
+    return np.isfinite(
+        metrics.get("switched", np.full(len(metrics["total_steps"]), np.nan))
+    )
+
+
 def view_reach(trajectories: dict[str, np.ndarray]) -> float:
     """Half the side of the square view, metres, around the origin.
 
@@ -219,7 +226,7 @@ def _draw_evaluations(
     top: Axes, bottom: Axes, x: np.ndarray, metrics: dict[str, np.ndarray]
 ) -> None:
     """Mark switches in the upper panel; steps of the mutation probability below."""
-    rows = np.isfinite(metrics["evaluation"])
+    rows = evaluation_rows(metrics)
     switched = rows & (metrics["switched"] > 0.5)
     kept = rows & ~switched
     probability = metrics["mut_p"]
@@ -250,7 +257,7 @@ def _draw_held_out(axes: Axes, x: float, evaluation: dict[str, Any]) -> None:
         rate,
         yerr=[[max(rate - low, 0.0)], [max(high - rate, 0.0)]],
         marker="D",
-        markersize=6,
+        markersize=5,
         color=style.VERMILION,
         markeredgecolor="white",
         capsize=3,
@@ -265,7 +272,7 @@ def _add_legend(
 ) -> None:
     handles = [Line2D([], [], color=style.BLUE, lw=1.6)]
     labels = ["training, with exploration"]
-    rows = np.isfinite(metrics.get("evaluation", np.zeros(0)))
+    rows = evaluation_rows(metrics)
     if rows.any():
         switches = int((metrics["switched"][rows] > 0.5).sum())
         handles += [

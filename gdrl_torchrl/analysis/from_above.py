@@ -17,7 +17,8 @@ Surface = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 """Elevation in metres ``[M, N]`` over x ``[N]``, y ``[M]`` (metres) at a time (s)."""
 
 # Outline of the vehicle in its own frame, metres, bow at +x.
-_OUTLINE = np.array([[-0.65, 0.4], [0.25, 0.4], [0.7, 0.0], [0.25, -0.4], [-0.65, -0.4]])
+_HALF_OUTLINE = np.array([[-0.65, 0.38], [0.2, 0.38], [0.5, 0.22], [0.68, 0.0]])
+_OUTLINE = np.concatenate([_HALF_OUTLINE, _HALF_OUTLINE[-2::-1] * [1.0, -1.0]])
 _CLOSE_HALF_HEIGHT_M = 2.0
 _DOTS_PER_INCH = 100
 _SEA_SAMPLES = 160
@@ -110,16 +111,13 @@ class _Panel:
             interpolation="bilinear",
             aspect="auto",
         )
-        self.goal = axes.add_patch(
-            Circle(
-                (goal[0], goal[1]), tolerance_m, fc=(1, 1, 1, 0.6), ec=style.VERMILION, lw=2
-            )
-        )
-        axes.plot(*goal, marker="+", ms=7, mew=1.5, color=style.VERMILION)
+        look = {"fc": (1, 1, 1, 0.6), "ec": style.VERMILION, "lw": 1.5}
+        axes.add_patch(Circle((goal[0], goal[1]), tolerance_m, **look))
+        # It is seen where the circle is a dot.
+        axes.plot(*goal, marker="+", ms=12, mew=1.2, color=style.VERMILION)
         (self.path,) = axes.plot([], [], color=style.BLUE, lw=1.8, solid_capstyle="round")
-        self.boat = Polygon(
-            _OUTLINE, closed=True, fc="#f2c21a", ec=style.INK, lw=1.0, zorder=4
-        )
+        look = {"fc": "#f2c21a", "ec": style.INK, "lw": 1.0}
+        self.boat = Polygon(_OUTLINE, closed=True, zorder=4, **look)
         axes.add_patch(self.boat)
         self._add_scale()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 
 import hydra
@@ -16,6 +17,8 @@ def _train(config: DictConfig) -> None:
         experiment = to_experiment(config)
     except ValueError as error:
         sys.exit(f"error: {error}")
+    # TorchRL reports on standard output, whose last line is ours.
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     # Imported here so that --help and mistakes are answered at once.
     from gdrl_torchrl.training.run import Interrupted, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError

@@ -87,9 +87,15 @@ def build_training(config: ExperimentConfig) -> Training:
         activation=ACTIVATIONS[network.activation],
     )
     loss, advantage = make_ppo_loss(actor, critic, algorithm)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=algorithm.learning_rate)
+    optimizer = torch.optim.Adam(
+        loss.parameters(), lr=algorithm.learning_rate, eps=1e-5, fused=True
+    )
     collector = Collector(
-        env, actor, frames_per_batch=algorithm.frames_per_batch, total_frames=-1
+        env,
+        actor,
+        frames_per_batch=algorithm.frames_per_batch,
+        total_frames=-1,
+        auto_register_policy_transforms=False,
     )
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(algorithm.frames_per_batch),

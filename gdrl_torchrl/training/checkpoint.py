@@ -75,7 +75,7 @@ class Checkpoints:
 
     def __init__(self, folder: Path, state: TrainingState, *, keep: int = 2) -> None:
         self._checkpoint = Checkpoint().register(
-            "training", state, adapter=StateDictCheckpointAdapter("directory")
+            "training", state, adapter=StateDictCheckpointAdapter("archive")
         )
         self._rotation = CheckpointRotation(folder, keep_last=keep)
 

@@ -103,6 +103,7 @@ def save_trajectories(run_dir: str | Path, trajectories: dict[str, np.ndarray]) 
         The file written.
     """
     path = Path(run_dir) / TRAJECTORIES_FILE
+    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.partial.npz")
     np.savez_compressed(partial, allow_pickle=False, **trajectories)
     partial.replace(path)
@@ -118,7 +119,7 @@ def write_video(
     fps: int | None = None,
     height: int = 360,
     width: int = 480,
-    max_frames: int = 200,
+    max_frames: int = 160,
 ) -> Literal["rendered", "drawn"]:
     """Write an mp4 of episodes one after another, from above and from behind.
 
@@ -151,15 +152,16 @@ def write_video(
         trajectories, fps=fps, height=height, width=width, max_frames=max_frames
     )
     backend, reason = find_gl_backend()
+    why = "no GL backend"
     if backend is not None:
         os.environ.setdefault("MUJOCO_GL", backend)
         try:
             _encode(film, _rendered_frames(task, film), Path(path))
         except Exception as error:  # what a driver can raise has no common type
-            reason = repr(error)
+            why, reason = "rendering failed", repr(error)
         else:
             return "rendered"
-    _logger.warning("no GL backend: drawn from above with matplotlib (%s)", reason)
+    _logger.warning("%s: drawn from above with matplotlib (%s)", why, reason)
     _encode(film, _drawn_frames(task, film), Path(path))
     return "drawn"
 
@@ -259,6 +261,10 @@ def _surface_of(
 
 def _rendered_frames(task: NavigationTask, film: _Film) -> Iterator[np.ndarray]:
     """Replay the recorded actions and render what the two cameras see."""
+    # tensordict loads Triton, which ends the process if it is loaded after Mesa's
+    # software driver.
+    import tensordict  # noqa: F401
+
     from gdrl_tasks.dm_env import make_environment
 
     environment = make_environment(task)

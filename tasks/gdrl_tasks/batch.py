@@ -11,20 +11,15 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.seeds import Stream, episode_seeds
+from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex
 
 _logger = logging.getLogger(__name__)
-_DIVERGENCE_WARNINGS = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-]
 _LARGEST_STATE = 1e6
-_WORLDS_PER_THREAD = 24
+_WORLDS_PER_THREAD = 8
 """Below this many worlds a second thread costs more than it saves."""
 
 
@@ -57,6 +52,9 @@ class BatchSimulation:
 
     Attributes:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
+        qpos: Generalised positions of all worlds, ``[W, nq]``; a write is the state at
+            the next step.
+        qvel: Generalised velocities of all worlds, ``[W, nv]``, likewise.
 
     Raises:
         ValueError: If ``num_worlds`` < 1, ``num_threads`` < 0 or ``seed`` < 0.
@@ -84,16 +82,19 @@ class BatchSimulation:
         self.seed = seed
         self.num_episodes_begun = 0
         self.model = mujoco.MjModel.from_xml_string(task.xml())
-        self.batch = Batch(self.model, num_worlds, self.num_threads)
         self.arrays = task.allocate(num_worlds)
-        self.qpos = self.batch.bind("qpos")
-        self.qvel = self.batch.bind("qvel")
-        self._time = self.batch.bind("time")
-        self._xfrc = self.batch.bind("xfrc_applied")
+        self.qpos = np.zeros((num_worlds, self.model.nq))
+        self.qvel = np.zeros((num_worlds, self.model.nv))
         self._all = np.arange(num_worlds)
+        count = max(1, min(self.num_threads, num_worlds // _WORLDS_PER_THREAD))
+        self._bounds = np.linspace(0, num_worlds, count + 1).astype(np.int64)
+        self._shards = [
+            self._make_shard(slice(low, high))
+            for low, high in zip(self._bounds[:-1], self._bounds[1:], strict=True)
+        ]
         self._pool: ThreadPoolExecutor | None = None
-        if self.num_threads > 1 and num_worlds > _WORLDS_PER_THREAD:
-            self._pool = ThreadPoolExecutor(self.num_threads - 1, "gdrl-forces")
+        if count > 1:
+            self._pool = ThreadPoolExecutor(count - 1, "gdrl-simulation")
 
     def reset(
         self, ids: WorldIndex | None = None, seeds: np.ndarray | None = None
@@ -124,7 +125,8 @@ class BatchSimulation:
         seeds = seeds.astype(np.int64)
         if (seeds < 0).any():
             raise ValueError(f"seeds={seeds.min()} must be >= 0")
-        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        for shard, own in zip(self._shards, self._split(ids), strict=True):
+            shard.reset(own)
         # A population shares its episodes: each is drawn once.
         unique, which = np.unique(seeds, return_inverse=True)
         for number, seed in enumerate(unique):
@@ -180,7 +182,9 @@ class BatchSimulation:
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as a dict of arrays (copies)."""
         state = {f"arrays.{name}": value.copy() for name, value in self.arrays.items()}
-        state["engine"] = self.batch.state.copy()
+        state["qpos"], state["qvel"] = self.qpos.copy(), self.qvel.copy()
+        engines = [shard.batch.state for shard in self._shards]
+        state["engine"] = np.concatenate(engines)
         state["seed"] = np.array(self.seed)
         state["num_episodes_begun"] = np.array(self.num_episodes_begun)
         return state
@@ -201,8 +205,12 @@ class BatchSimulation:
                 )
         for name in self.arrays:
             self.arrays[name][...] = state[f"arrays.{name}"]
-        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self.batch.state[...] = state["engine"]
+        self.qpos[...], self.qvel[...] = state["qpos"], state["qvel"]
+        for shard, low in zip(self._shards, self._bounds[:-1], strict=True):
+            rows = shard.batch.state
+            # Counters of warnings are not part of the state: start them afresh.
+            shard.reset(np.arange(len(rows)))
+            rows[...] = state["engine"][low : low + len(rows)]
         self.seed = int(state["seed"])
         self.num_episodes_begun = int(state["num_episodes_begun"])
 
@@ -212,31 +220,28 @@ class BatchSimulation:
             self._pool.shutdown()
             self._pool = None
 
+    def _make_shard(self, rows: slice) -> Shard:
+        views = {name: value[rows] for name, value in self.arrays.items()}
+        return Shard(self.task, self.model, views, self.qpos[rows], self.qvel[rows])
+
+    def _split(self, ids: WorldIndex) -> list[WorldIndex]:
+        """The worlds of each shard among ``ids``, numbered within the shard."""
+        cuts = np.searchsorted(ids, self._bounds)
+        return [
+            ids[begin:end] - low
+            for begin, end, low in zip(cuts[:-1], cuts[1:], self._bounds, strict=False)
+        ]
+
     def _advance(self, ids: WorldIndex) -> None:
-        if len(ids) == 0:
-            return
-        substeps = self.task.spec.num_substeps
-        if not self.task.has_substep_forces:
-            self.batch.step(ids, substeps)
-            return
-        chunks = self._chunks(ids)
-        for _ in range(substeps):
-            waiting = [self._pool.submit(self._force, chunk) for chunk in chunks[1:]]
-            self._force(chunks[0])
-            for future in waiting:
-                future.result()
-            self.batch.step(ids)
-
-    def _force(self, ids: WorldIndex) -> None:
-        self.task.apply_forces(
-            self.arrays, ids, self.qpos, self.qvel, self._time, self._xfrc
-        )
-
-    def _chunks(self, ids: WorldIndex) -> list[np.ndarray]:
-        if self._pool is None:
-            return [ids]
-        count = min(self.num_threads, max(1, len(ids) // _WORLDS_PER_THREAD))
-        return np.array_split(ids, count)
+        parts = self._split(ids)
+        waiting = [
+            self._pool.submit(shard.advance, own)
+            for shard, own in zip(self._shards[1:], parts[1:], strict=True)
+            if self._pool is not None
+        ]
+        self._shards[0].advance(parts[0])
+        for future in waiting:
+            future.result()
 
     def _checked_ids(self, ids: Any) -> np.ndarray:
         if ids is None:
@@ -256,7 +261,7 @@ class BatchSimulation:
         return ids.astype(np.int64, copy=False)
 
     def _count_warnings(self, ids: WorldIndex) -> np.ndarray:
-        return self.batch.warning[ids][:, _DIVERGENCE_WARNINGS, 1].sum(axis=1)
+        return np.concatenate([shard.count_warnings() for shard in self._shards])[ids]
 
     def _report(self, ids: WorldIndex) -> None:
         for world in ids:

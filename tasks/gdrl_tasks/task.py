@@ -20,6 +20,8 @@ from gdrl_tasks.navigation import Outcome, decide_outcome, goal_polar, segment_d
 WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
 
+_LARGEST_SEEN = 1e6
+
 WorldIndex = np.ndarray
 """Indices of the worlds that a call acts on, ``[K]``, int64, ascending."""
 
@@ -197,6 +199,7 @@ class NavigationTask(abc.ABC):
             qpos: Their generalised positions, ``[K, nq]``.
             diverged: Mask of those whose state is not to be believed, ``[K]``.
         """
+        qpos = np.where(diverged[:, None], 0.0, qpos)
         position, _ = self.planar_pose(qpos)
         before, goal = arrays["position"][ids], arrays["goal"][ids]
         position = np.where(diverged[:, None], before, position)
@@ -232,6 +235,11 @@ class NavigationTask(abc.ABC):
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Named observations of worlds ``ids``, each ``[K, size]``, always finite."""
+        # A diverged world is observed too: its numbers need only be finite.
+        qpos, qvel = (
+            np.clip(np.nan_to_num(state), -_LARGEST_SEEN, _LARGEST_SEEN)
+            for state in (qpos, qvel)
+        )
         position, yaw = self.planar_pose(qpos)
         distance, bearing = goal_polar(position, yaw, arrays["goal"][ids])
         values = {
@@ -241,8 +249,7 @@ class NavigationTask(abc.ABC):
         values |= self.observe_extra(arrays, ids, qpos, qvel)
         named = {}
         for name, (size, low, high) in self.spec.observation.items():
-            value = np.clip(values[name].reshape(len(ids), size), low, high)
-            named[name] = np.nan_to_num(value, nan=0.0, copy=False)
+            named[name] = np.clip(values[name].reshape(len(ids), size), low, high)
         return named
 
     @property

@@ -1,0 +1,188 @@
+"""Control steps per second of population evaluation, and of what it could be done with.
+
+    python -m benchmarks.population_throughput
+
+One fixed, untrained population of 11 members over 20 episodes each, measured in one run
+through: ``PopulationEvaluator``; the raw engine stepping every world of the same model
+with one ``step(nstep=...)`` per control step; the dm_control environment alone; and
+TorchRL's ``ParallelEnv`` of ``DMControlWrapper`` environments, as a TorchRL user would
+write it. Steps are those of live worlds, and resets are inside the time. The last line
+is a JSON object with a key per task.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("MUJOCO_GL", "disable")
+
+import mujoco
+import numpy as np
+import torch
+from gdrl_tasks import load, make_task, task_names
+from mujoco.batch import Batch
+from tensordict import TensorDict
+from torchrl.envs import DMControlWrapper, ParallelEnv
+from torchrl.envs.utils import step_mdp
+
+from gdrl_torchrl.config.schema import NetworkConfig
+from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies
+from gdrl_torchrl.evolution.mutation import bernoulli_mutation
+from gdrl_torchrl.training.build import make_actor
+from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+
+MEMBERS = 11
+EPISODES = 20
+
+
+def measure(run: Callable[[], int], repeats: int) -> float:
+    """Median of steps per second over repeats of ``run``, which returns its steps."""
+    run()
+    rates = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        steps = run()
+        rates.append(steps / (time.perf_counter() - start))
+    return statistics.median(rates)
+
+
+def evaluator_rate(name: str, threads: int, repeats: int) -> float:
+    """Through the evaluator."""
+    env = NavigationEnv(make_task(name), MEMBERS * EPISODES, num_threads=threads)
+    actor, population = make_population(name)
+    evaluator = PopulationEvaluator(
+        actor, num_episodes=EPISODES, create_env_fn=lambda: env
+    )
+    rate = measure(lambda: int(evaluator.evaluate(population)["frames"].sum()), repeats)
+    evaluator.close()
+    return rate
+
+
+def raw_engine_rate(name: str, threads: int, repeats: int) -> float:
+    """The engine alone: all worlds, no forces, no observation, no policy."""
+    task, worlds = make_task(name), MEMBERS * EPISODES
+    spec = task.spec
+    batch = Batch(mujoco.MjModel.from_xml_string(task.xml()), worlds, threads)
+
+    def run() -> int:
+        batch.reset()
+        for _ in range(spec.step_limit):
+            batch.step(nstep=spec.num_substeps)
+        return worlds * spec.step_limit
+
+    return measure(run, repeats)
+
+
+def dm_control_rate(name: str, repeats: int) -> float:
+    """One dm_control environment with zero actions."""
+    environment = load(name, random=0)
+    spec = environment.action_spec()
+    action = np.zeros(spec.shape, spec.dtype)
+
+    def run() -> int:
+        steps = 0
+        for _ in range(3):
+            step = environment.reset()
+            while not step.last():
+                step = environment.step(action)
+                steps += 1
+        return steps
+
+    return measure(run, repeats)
+
+
+def wrapped(name: str, seed: int) -> DMControlWrapper:
+    """An environment as TorchRL users wrap dm_control ones."""
+    return DMControlWrapper(load(name, random=seed))
+
+
+def parallel_rate(name: str, workers: int, limit: int) -> float:
+    """Members one after another over ``ParallelEnv``, episodes spread over workers."""
+    task = make_task(name)
+    makers = [functools.partial(wrapped, name, seed) for seed in range(workers)]
+    env = ParallelEnv(workers, makers)
+    actor, population = make_population(name)
+    names = list(task.spec.observation)
+
+    def run() -> int:
+        steps = 0
+        for member in range(limit):
+            install(actor, population[member])
+            for _ in range(-(-EPISODES // workers)):
+                td = env.reset()
+                alive = torch.ones(workers, dtype=torch.bool)
+                while alive.any():
+                    observation = torch.cat([td[n] for n in names], dim=-1).float()
+                    act = TensorDict(observation=observation, batch_size=[workers])
+                    td["action"] = actor(act)["action"].double()
+                    if not alive.all():
+                        td["_step"] = alive
+                    td = env.step(td)
+                    steps += int(alive.sum())
+                    alive = alive & ~td["next", "done"].squeeze(-1)
+                    td = step_mdp(td)
+        return steps
+
+    with torch.no_grad():
+        rate = measure(run, 1)
+    env.close()
+    return rate
+
+
+def make_population(name: str) -> tuple:
+    """A fixed, untrained actor and a population mutated from it."""
+    torch.manual_seed(0)
+    actor = make_actor(make_task(name), NetworkConfig())
+    genomes = stack_copies(genome_of(actor), MEMBERS)
+    generator = torch.Generator().manual_seed(0)
+    return actor, bernoulli_mutation(genomes, mut_p=0.75, std=0.1, generator=generator)
+
+
+def main() -> None:
+    """Measure every task and print a table and JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--parallel-members", type=int, default=2)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    results = {}
+    for name in task_names():
+        evaluator = evaluator_rate(name, options.threads, options.repeats)
+        raw = raw_engine_rate(name, options.threads, options.repeats)
+        single = dm_control_rate(name, options.repeats)
+        parallel = {
+            workers: parallel_rate(name, workers, options.parallel_members)
+            for workers in (2, EPISODES)
+        }
+        best = max(parallel.values())
+        rows = {
+            f"PopulationEvaluator, {MEMBERS} x {EPISODES}": evaluator,
+            "raw engine, all worlds": raw,
+            "dm_control alone": single,
+            **{f"ParallelEnv, {w} workers": rate for w, rate in parallel.items()},
+        }
+        print(f"{name}: control steps per second", file=sys.stdout)
+        for label, rate in rows.items():
+            print(f"  {label:32s} {rate:12,.0f}   {evaluator / rate:8.2f}")
+        results[name] = {
+            "control_steps_per_s": round(evaluator, 1),
+            "ratio_to_raw_engine": round(evaluator / raw, 4),
+            "ratio_to_torchrl_parallel": round(evaluator / best, 2),
+            "raw_engine_steps_per_s": round(raw, 1),
+            "dm_control_steps_per_s": round(single, 1),
+            "torchrl_parallel_steps_per_s": round(best, 1),
+        }
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()

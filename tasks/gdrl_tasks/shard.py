@@ -1,0 +1,76 @@
+"""The worlds that one thread steps: an engine of their own and a loop over substeps."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from gdrl_tasks.task import NavigationTask, WorldArrays, WorldIndex
+
+_DIVERGENCE_WARNINGS = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+
+
+class Shard:
+    """A run of neighbouring worlds, stepped on the thread that calls.
+
+    Forces must be refreshed before every substep, so with one engine for all worlds
+    the threads would meet twice a substep; with one each they meet once a control step.
+
+    Args:
+        task: The task.
+        model: Its compiled model.
+        arrays: The task's arrays of this shard's worlds (views of the whole).
+        qpos: Positions of this shard's worlds (a view of the whole), written.
+        qvel: Velocities of this shard's worlds (a view of the whole), written.
+    """
+
+    def __init__(
+        self,
+        task: NavigationTask,
+        model: mujoco.MjModel,
+        arrays: WorldArrays,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+    ) -> None:
+        self.task = task
+        self.arrays = arrays
+        self.batch = Batch(model, len(qpos), 1)
+        self._qpos, self._qvel = qpos, qvel
+        self._engine_qpos = self.batch.bind("qpos")
+        self._engine_qvel = self.batch.bind("qvel")
+        self._time = self.batch.bind("time")
+        self._xfrc = self.batch.bind("xfrc_applied")
+
+    def reset(self, ids: WorldIndex) -> None:
+        """Reset the engine of worlds, numbered within the shard."""
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+
+    def advance(self, ids: WorldIndex) -> None:
+        """Step worlds, numbered within the shard, through a control interval."""
+        if len(ids) == 0:
+            return
+        substeps = self.task.spec.num_substeps
+        self._engine_qpos[...], self._engine_qvel[...] = self._qpos, self._qvel
+        if self.task.has_substep_forces:
+            for _ in range(substeps):
+                self.task.apply_forces(
+                    self.arrays,
+                    ids,
+                    self._engine_qpos,
+                    self._engine_qvel,
+                    self._time,
+                    self._xfrc,
+                )
+                self.batch.step(ids)
+        else:
+            self.batch.step(ids, substeps)
+        self._qpos[...], self._qvel[...] = self._engine_qpos, self._engine_qvel
+
+    def count_warnings(self) -> np.ndarray:
+        """Warnings of divergence so far, per world of the shard."""
+        return self.batch.warning[:, _DIVERGENCE_WARNINGS, 1].sum(axis=1)

@@ -1,0 +1,137 @@
+"""Small parts that several test folders share."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import pytest
+import torch
+from gdrl_tasks import make_task
+from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
+from gdrl_torchrl.evolution.mutation import bernoulli_mutation
+from gdrl_torchrl.modules.actor import make_tanh_normal_actor
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import nn
+from torchrl.data import Bounded, Categorical, TensorSpec
+from torchrl.modules import (
+    MLP,
+    Actor,
+    DistributionalQValueActor,
+    QValueActor,
+)
+from torchrl.modules.models.models import DuelingMlpDQNet
+
+CONTINUOUS = ("deterministic", "sequential", "tanh_normal")
+DISCRETE = ("q_value", "distributional")
+NUM_ATOMS = 11
+
+EASY = {
+    "sea": "calm",
+    "goal_distance_m": (0.5, 1.5),
+    "goal_tolerance_m": 0.4,
+    "step_limit": 24,
+}
+"""Water that an untrained network often crosses; without waves nothing is chaotic."""
+
+
+def _dueling(size: int, actions: int) -> nn.Module:
+    return DuelingMlpDQNet(
+        out_features=(NUM_ATOMS, actions),
+        out_features_value=(NUM_ATOMS, 1),
+        mlp_kwargs_feature={"in_features": size, "num_cells": [8], "out_features": 8},
+        mlp_kwargs_output={"in_features": 8, "num_cells": 8},
+    )
+
+
+def make_actor(
+    kind: str, observation_size: int = 3, spec: TensorSpec | None = None
+) -> nn.Module:
+    """An actor of a kind with a small network, its weights from the global generator."""
+    if spec is None:
+        continuous = kind in CONTINUOUS
+        spec = Bounded(-1.0, 1.0, shape=(2,)) if continuous else Categorical(7)
+    actions = spec.space.n if kind in DISCRETE else spec.shape[-1]
+    sizes = {"in_features": observation_size, "num_cells": [8]}
+    if kind == "deterministic":
+        network = nn.Sequential(MLP(out_features=actions, **sizes), nn.Tanh())
+        return Actor(network, in_keys=["observation"], spec=spec)
+    if kind == "sequential":
+        return TensorDictSequential(
+            TensorDictModule(MLP(out_features=5, **sizes), ["observation"], ["hidden"]),
+            TensorDictModule(MLP(in_features=5, out_features=2), ["hidden"], ["raw"]),
+            TensorDictModule(nn.Tanh(), ["raw"], ["action"]),
+        )
+    if kind == "tanh_normal":
+        return make_tanh_normal_actor(observation_size, spec, num_cells=(8,))
+    if kind == "q_value":
+        return QValueActor(
+            MLP(out_features=actions, **sizes), in_keys=["observation"], spec=spec
+        )
+    return DistributionalQValueActor(
+        _dueling(observation_size, actions),
+        support=torch.linspace(-1.0, 1.0, NUM_ATOMS),
+        in_keys=["observation"],
+        spec=spec,
+    )
+
+
+def make_population(actor: nn.Module, size: int, *, std: float = 0.7) -> TensorDictBase:
+    """A copy of the actor, then strongly mutated children, ``[size]``."""
+    genome = genome_of(actor)
+    if size == 1:
+        return stack_copies(genome, 1)
+    children = bernoulli_mutation(
+        stack_copies(genome, size - 1),
+        mut_p=1.0,
+        std=std,
+        generator=torch.Generator().manual_seed(1),
+    )
+    return concatenate([stack_copies(genome, 1), children])
+
+
+def make_member(actor: nn.Module, population: TensorDictBase, number: int) -> nn.Module:
+    """A deep copy of the actor with one member's weights: nothing of ours installs."""
+    member = copy.deepcopy(actor)
+    state = member.state_dict()
+    for path, value in population[number].items(include_nested=True, leaves_only=True):
+        state[path if isinstance(path, str) else ".".join(path)] = value.clone()
+    member.load_state_dict(state)
+    return member
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.fixture(params=[*CONTINUOUS, *DISCRETE])
+def actor_kind(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def actor_of() -> Callable[..., nn.Module]:
+    return make_actor
+
+
+@pytest.fixture
+def population_of() -> Callable[..., TensorDictBase]:
+    return make_population
+
+
+@pytest.fixture
+def member_of() -> Callable[..., nn.Module]:
+    return make_member
+
+
+@pytest.fixture
+def easy_task_for() -> Callable[..., object]:
+    """Makes an easy task whose actions fit a kind of actor."""
+
+    def make(kind: str = "tanh_normal", **options: object) -> object:
+        actions = "discrete" if kind in DISCRETE else "continuous"
+        return make_task("water", **EASY | {"actions": actions} | options)
+
+    return make

@@ -1,0 +1,193 @@
+"""A world that diverges ends its episode, says nothing and harms no other world."""
+
+import numpy as np
+import pytest
+
+import gdrl_tasks
+from gdrl_tasks import Outcome
+
+NUM_WORLDS = 60
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def break_position(qpos, qvel):
+    qpos[0] = np.nan
+
+
+def break_height(qpos, qvel):
+    qpos[2] = 1e12
+
+
+def break_attitude(qpos, qvel):
+    qpos[3:] = np.inf
+
+
+def break_velocity(qpos, qvel):
+    qvel[1] = -np.inf
+
+
+def spin_out_of_control(qpos, qvel):
+    # Still a state to be believed: the engine itself finds the acceleration bad.
+    qvel[3:] = 9e5
+
+
+INJURIES = [
+    break_position,
+    break_height,
+    break_attitude,
+    break_velocity,
+    spin_out_of_control,
+]
+every_injury = pytest.mark.parametrize("injure", INJURIES, ids=lambda f: f.__name__)
+
+
+@pytest.fixture
+def silence(tmp_path, monkeypatch, capfd):
+    """Run in an empty folder; in the end nothing was printed or written there."""
+    monkeypatch.chdir(tmp_path)
+    yield
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert printed.err == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def started(num_threads=1, **options):
+    worlds = gdrl_tasks.simulate(
+        "water", num_worlds=NUM_WORLDS, num_threads=num_threads, **options
+    )
+    worlds.reset()
+    return worlds
+
+
+def assert_others_untouched(worlds, healthy, others):
+    for name, value in healthy.get_state().items():
+        if value.ndim:
+            np.testing.assert_array_equal(worlds.get_state()[name][others], value[others])
+
+
+@every_injury
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, silence):
+    worlds, healthy = started(num_threads), started(num_threads)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (4, NUM_WORLDS, 2))
+    others = np.delete(np.arange(NUM_WORLDS), 7)
+    worlds.step(actions[0])
+    healthy.step(actions[0])
+    injure(worlds.qpos[7], worlds.qvel[7])
+    result = worlds.step(actions[1])
+    expected = healthy.step(actions[1])
+    assert result.outcome[7] == Outcome.DIVERGED
+    assert result.reward[7] == -1.0
+    assert result.terminated[7]
+    assert not result.truncated[7]
+    assert np.isfinite(result.observation).all()
+    for field, value in zip(result, expected, strict=True):
+        np.testing.assert_array_equal(field[others], value[others])
+    for action in actions[2:]:
+        worlds.step(action[others], others)
+        healthy.step(action[others], others)
+    assert_others_untouched(worlds, healthy, others)
+    assert np.isfinite(worlds.arrays["path_length"]).all()
+    assert np.isfinite(worlds.arrays["episode_return"]).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_world_whose_action_is_not_finite_diverges_alone(value, silence):
+    worlds, healthy = started(), started()
+    action = np.full((NUM_WORLDS, 2), 0.8)
+    expected = healthy.step(action)
+    action[7, 1] = value
+    result = worlds.step(action)
+    others = np.delete(np.arange(NUM_WORLDS), 7)
+    assert result.outcome[7] == Outcome.DIVERGED
+    assert result.reward[7] == -1.0
+    assert np.isfinite(result.observation).all()
+    np.testing.assert_array_equal(result.observation[others], expected.observation[others])
+    assert_others_untouched(worlds, healthy, others)
+
+
+def test_a_discrete_action_that_is_not_a_number_diverges(silence):
+    worlds = started(actions="discrete")
+    action = np.zeros(NUM_WORLDS)
+    action[3] = np.nan
+    outcome = worlds.step(action).outcome
+    assert outcome[3] == Outcome.DIVERGED
+    assert (np.delete(outcome, 3) == Outcome.RUNNING).all()
+
+
+@every_injury
+def test_a_diverged_world_stays_diverged_until_its_reset(injure, silence):
+    worlds = started()
+    injure(worlds.qpos[7], worlds.qvel[7])
+    for _ in range(3):
+        result = worlds.step(np.ones((NUM_WORLDS, 2)))
+        assert result.outcome[7] == Outcome.DIVERGED
+        assert np.isfinite(result.observation).all()
+    seed = np.array([123])
+    observation = worlds.reset(np.array([7]), seed)
+    fresh = gdrl_tasks.simulate("water", num_worlds=1, num_threads=1)
+    np.testing.assert_array_equal(observation, fresh.reset(seeds=seed))
+    for _ in range(5):
+        result = worlds.step(np.ones((1, 2)), np.array([7]))
+        expected = fresh.step(np.ones((1, 2)))
+        for field, value in zip(result, expected, strict=True):
+            np.testing.assert_array_equal(field, value)
+
+
+def test_divergence_hides_a_truncation(silence):
+    worlds = started(at_limit="truncated", step_limit=1)
+    worlds.qpos[7, 0] = np.nan
+    result = worlds.step(np.zeros((NUM_WORLDS, 2)))
+    assert result.outcome[7] == Outcome.DIVERGED
+    assert result.terminated[7]
+    assert not result.truncated[7]
+    assert np.delete(result.truncated, 7).all()
+
+
+@every_injury
+def test_the_dm_control_route_ends_the_episode_too(injure, silence):
+    environment = gdrl_tasks.load("water", random=0)
+    environment.reset()
+    environment.step(np.ones(2))
+    injure(environment.physics.data.qpos, environment.physics.data.qvel)
+    time_step = environment.step(np.ones(2))
+    check_diverged(environment, time_step)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_the_dm_control_route_ends_on_a_bad_action_too(value, silence):
+    environment = gdrl_tasks.load("water", random=0)
+    environment.reset()
+    time_step = environment.step(np.array([0.5, value]))
+    check_diverged(environment, time_step)
+
+
+def check_diverged(environment, time_step):
+    assert time_step.last()
+    assert time_step.discount == 0.0
+    assert time_step.reward == -1.0
+    assert environment.task.outcome == Outcome.DIVERGED
+    for value in time_step.observation.values():
+        assert np.isfinite(value).all()
+    environment.task.next_episode_seed = 5
+    again = environment.reset()
+    fresh = gdrl_tasks.load("water")
+    fresh.task.next_episode_seed = 5
+    for one, other in zip(
+        [again, *(environment.step(np.ones(2)) for _ in range(3))],
+        [fresh.reset(), *(fresh.step(np.ones(2)) for _ in range(3))],
+        strict=True,
+    ):
+        assert one.reward == other.reward
+        for name, value in one.observation.items():
+            np.testing.assert_array_equal(value, other.observation[name])
+
+
+def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
+    worlds = started(sea="rough", significant_wave_height_m=0.6, current_m_s=0.5)
+    generator = np.random.default_rng(0)
+    for _ in range(60):
+        result = worlds.step(np.sign(generator.normal(size=(NUM_WORLDS, 2))))
+        assert not (result.outcome == Outcome.DIVERGED).any()
