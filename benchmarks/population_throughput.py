@@ -26,12 +26,12 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 import mujoco
 import numpy as np
 import torch
-from gdrl_tasks import load, make_task, task_names
 from mujoco.batch import Batch
 from tensordict import TensorDict
 from torchrl.envs import DMControlWrapper, ParallelEnv
 from torchrl.envs.utils import step_mdp
 
+from gdrl_tasks import load, make_task, task_names
 from gdrl_torchrl.config.schema import NetworkConfig
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies
@@ -58,9 +58,7 @@ def evaluator_rate(name: str, threads: int, repeats: int) -> float:
     """Through the evaluator."""
     env = NavigationEnv(make_task(name), MEMBERS * EPISODES, num_threads=threads)
     actor, population = make_population(name)
-    evaluator = PopulationEvaluator(
-        actor, num_episodes=EPISODES, create_env_fn=lambda: env
-    )
+    evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
     rate = measure(lambda: int(evaluator.evaluate(population)["frames"].sum()), repeats)
     evaluator.close()
     return rate

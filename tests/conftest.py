@@ -29,8 +29,9 @@ NUM_ATOMS = 11
 
 EASY = {
     "sea": "calm",
-    "goal_distance_m": (0.5, 1.5),
-    "goal_tolerance_m": 0.4,
+    "goal_distance_m": (0.7, 1.2),
+    "goal_tolerance_m": 0.6,
+    "reward": "dense",
     "step_limit": 24,
 }
 """Water that an untrained network often crosses; without waves nothing is chaotic."""

@@ -185,7 +185,7 @@ def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
     )
     title = f"{len(names)} episodes from above"
     if "sea_elevation" in trajectories:
-        title += "; the sea is the first episode's, as it began"
+        title += "; the sea is that of the first, at its start"
     axes.set_title(title, fontsize=12, color=style.INK, pad=10)
     return figure
 

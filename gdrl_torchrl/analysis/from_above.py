@@ -111,10 +111,10 @@ class _Panel:
             interpolation="bilinear",
             aspect="auto",
         )
-        look = {"fc": (1, 1, 1, 0.6), "ec": style.VERMILION, "lw": 1.5}
-        axes.add_patch(Circle((goal[0], goal[1]), tolerance_m, **look))
+        look = {"fc": (1, 1, 1, 0.3), "ec": style.VERMILION, "lw": 1.5}
+        axes.add_patch(Circle((goal[0], goal[1]), tolerance_m, zorder=5, **look))
         # It is seen where the circle is a dot.
-        axes.plot(*goal, marker="+", ms=12, mew=1.2, color=style.VERMILION)
+        axes.plot(*goal, marker="+", ms=12, mew=1.2, color=style.VERMILION, zorder=5)
         (self.path,) = axes.plot([], [], color=style.BLUE, lw=1.8, solid_capstyle="round")
         look = {"fc": "#f2c21a", "ec": style.INK, "lw": 1.0}
         self.boat = Polygon(_OUTLINE, closed=True, zorder=4, **look)

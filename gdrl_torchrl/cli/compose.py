@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from gdrl_tasks import task_names
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from gdrl_tasks import task_names
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.task import task_config_class
 

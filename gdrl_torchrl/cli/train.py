@@ -20,12 +20,12 @@ def _train(config: DictConfig) -> None:
     # TorchRL reports on standard output, whose last line is ours.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     # Imported here so that --help and mistakes are answered at once.
-    from gdrl_torchrl.training.run import Interrupted, run_experiment
+    from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError
 
     try:
         print(run_experiment(experiment))
-    except Interrupted as stop:
+    except InterruptedRunError as stop:
         print(stop, file=sys.stderr)
         sys.exit(128 + stop.signal)
     except (ValueError, RunDirectoryError) as error:

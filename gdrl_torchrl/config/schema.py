@@ -20,6 +20,8 @@ class NetworkConfig:
 
     actor_cells: list[int] = dataclasses.field(default_factory=lambda: [32, 32])
     critic_cells: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    critic_sees_time: bool = True
+    """Whether the critic reads the time left, which the policy does not see."""
     activation: str = "tanh"
     initial_std: float = 1.0
     """Of the policy before squashing, for continuous actions."""
@@ -81,7 +83,7 @@ class EvolutionConfig:
     num_children: int = 10
     num_trials: int = 10
     """Episodes that every member is scored on."""
-    period_episodes: int = 40
+    period_episodes: int = 50
     """Completed training episodes between evaluations; not given by the papers."""
     mutation: str = "bernoulli"
     mut_v: float = 0.1

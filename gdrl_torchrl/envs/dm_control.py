@@ -1,4 +1,4 @@
-"""The dm_control route: one world a environment, through TorchRL's own wrapper."""
+"""The dm_control route: one world per environment, through TorchRL's own wrapper."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from gdrl_tasks import NavigationTask, Outcome
-from gdrl_tasks.dm_env import make_environment
 from tensordict import TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import DMControlWrapper
 
+from gdrl_tasks import NavigationTask, Outcome
+from gdrl_tasks.dm_env import make_environment
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.navigation import action_spec, flag_spec
 
@@ -51,21 +51,21 @@ class NavigationDMControlEnv(DMControlWrapper):
             torch.as_tensor(bound, dtype=torch.float32)
             for bound in task.spec.observation_bounds
         )
-        number = Unbounded(shape=(1,), dtype=torch.float32)
+        one = torch.Size([1])
+        number = Unbounded(shape=one, dtype=torch.float32)
         self.observation_spec = Composite(
             {
                 keys.OBSERVATION: Bounded(low=low, high=high, dtype=torch.float32),
                 keys.SUCCESS: flag_spec((1,)),
-                keys.OUTCOME: Categorical(len(Outcome), shape=(1,), dtype=torch.int64),
-                keys.EPISODE_SEED: Unbounded(shape=(1,), dtype=torch.int64),
-                keys.EPISODE_RETURN: number,
+                keys.OUTCOME: Categorical(len(Outcome), shape=one, dtype=torch.int64),
+                keys.EPISODE_SEED: Unbounded(shape=one, dtype=torch.int64),
+                keys.TIME_LEFT: number,
+                keys.EPISODE_RETURN: number.clone(),
                 keys.PATH_LENGTH: number.clone(),
                 keys.SHORTEST_PATH: number.clone(),
             }
         )
-        self.reward_spec = Bounded(
-            *task.spec.reward_range, shape=(1,), dtype=torch.float32
-        )
+        self.reward_spec = Bounded(*task.spec.reward_range, shape=one, dtype=torch.float32)
         self.action_spec = action_spec(task, ())
 
     def read_obs(self, observations: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -78,6 +78,8 @@ class NavigationDMControlEnv(DMControlWrapper):
             keys.OUTCOME: torch.tensor([int(suite_task.outcome)]),
             keys.EPISODE_SEED: torch.tensor(suite_task.arrays["episode_seed"]),
         }
+        time_left = 1.0 - suite_task.arrays["steps"] / self.task.spec.step_limit
+        read[keys.TIME_LEFT] = torch.from_numpy(time_left.astype(np.float32))
         for name in (keys.EPISODE_RETURN, keys.PATH_LENGTH, keys.SHORTEST_PATH):
             value = suite_task.arrays[name].astype(np.float32)
             read[name] = torch.from_numpy(value)

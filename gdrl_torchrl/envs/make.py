@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 from typing import Literal
 
-from gdrl_tasks import NavigationTask
 from torchrl.envs import EnvBase, SerialEnv
 
+from gdrl_tasks import NavigationTask
 from gdrl_torchrl.envs.navigation import NavigationEnv
 
 Backend = Literal["batch", "dm_control"]

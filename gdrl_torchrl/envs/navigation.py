@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from gdrl_torchrl import keys
 
 
@@ -21,10 +21,11 @@ class NavigationEnv(EnvBase):
     worlds only; a ``_step`` mask advances some worlds only, and the others cost
     nothing. ``reset(episode_seed=seeds)`` chooses the episodes, int64 ``[W]``.
 
-    Beside TorchRL's keys every tensordict holds ``success`` (bool), ``outcome``
-    (:class:`gdrl_tasks.Outcome`, int64), ``episode_number`` (int64, in the order of
-    their start), ``episode_seed`` (int64), ``episode_steps`` (int64), ``episode_return``, ``path_length`` and ``shortest_path`` (metres), all
-    ``[W, 1]``.
+    Beside TorchRL's keys every tensordict holds, each ``[W, 1]``: ``success`` (bool),
+    ``outcome`` (:class:`gdrl_tasks.Outcome`), ``episode_number`` (in the order in which
+    episodes began), ``episode_seed`` and ``episode_steps`` (int64), ``time_left`` (share
+    of the step limit, for critics), ``episode_return``, ``path_length`` and
+    ``shortest_path`` (metres).
 
     Args:
         task: The task.
@@ -47,7 +48,7 @@ class NavigationEnv(EnvBase):
         num_threads: int = 0,
         seed: int = 0,
     ) -> None:
-        super().__init__(batch_size=[max(num_worlds, 0)], device="cpu")
+        super().__init__(batch_size=torch.Size([max(num_worlds, 0)]), device="cpu")
         self.simulation = BatchSimulation(
             task, num_worlds, num_threads=num_threads, seed=seed
         )
@@ -64,7 +65,7 @@ class NavigationEnv(EnvBase):
             torch.as_tensor(bound, dtype=torch.float32).expand(num_worlds, -1)
             for bound in task.spec.observation_bounds
         )
-        shape = (num_worlds, 1)
+        shape = torch.Size([num_worlds, 1])
         number = Unbounded(shape=shape, dtype=torch.float32)
         integer = Unbounded(shape=shape, dtype=torch.int64)
         self.observation_spec = Composite(
@@ -75,7 +76,8 @@ class NavigationEnv(EnvBase):
                 keys.EPISODE_NUMBER: integer,
                 keys.EPISODE_SEED: integer.clone(),
                 keys.EPISODE_STEPS: integer.clone(),
-                keys.EPISODE_RETURN: number,
+                keys.TIME_LEFT: number,
+                keys.EPISODE_RETURN: number.clone(),
                 keys.PATH_LENGTH: number.clone(),
                 keys.SHORTEST_PATH: number.clone(),
             },
@@ -102,7 +104,9 @@ class NavigationEnv(EnvBase):
         **kwargs: Any,
     ) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get(keys.RESET_MASK, None)
-        ids = None if mask is None else mask.reshape(self.batch_size).nonzero()[:, 0].numpy()
+        ids = (
+            None if mask is None else mask.reshape(self.batch_size).nonzero()[:, 0].numpy()
+        )
         if self._begin_where_left and ids is None and episode_seed is None:
             self._begin_where_left = False
         else:
@@ -119,7 +123,7 @@ class NavigationEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get(keys.STEP_MASK, None)
-        action = tensordict.get(keys.ACTION).numpy()
+        action = tensordict.get(keys.ACTION).detach().numpy()
         if mask is None:
             ids = None
             result = self.simulation.step(action)
@@ -161,6 +165,8 @@ class NavigationEnv(EnvBase):
         out[keys.EPISODE_NUMBER] = arrays["episode_number"][:, None].copy()
         out[keys.EPISODE_SEED] = arrays["episode_seed"][:, None].copy()
         out[keys.EPISODE_STEPS] = arrays["steps"][:, None].copy()
+        time_left = 1.0 - arrays["steps"][:, None] / self.task.spec.step_limit
+        out[keys.TIME_LEFT] = time_left.astype(np.float32)
         for name in (keys.EPISODE_RETURN, keys.PATH_LENGTH, keys.SHORTEST_PATH):
             out[name] = arrays[name][:, None].astype(np.float32)
         return {name: torch.from_numpy(value) for name, value in out.items()}

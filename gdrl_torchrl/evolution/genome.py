@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -58,7 +59,8 @@ def stack_copies(genome: TensorDictBase, count: int) -> TensorDictBase:
 
 def concatenate(populations: Iterable[TensorDictBase]) -> TensorDictBase:
     """Join populations ``[P1], [P2], ...`` to one ``[P1 + P2 + ...]``."""
-    return torch.cat(list(populations), dim=0)
+    joined: Any = TensorDict.cat(list(populations), dim=0)
+    return joined
 
 
 @torch.no_grad()
@@ -80,6 +82,7 @@ def install(module: nn.Module, genome: TensorDictBase) -> None:
         (True, 0.0)
     """
     parameters = dict(module.named_parameters())
+    values: dict[str, torch.Tensor] = {}
     for path, value in genome.items(include_nested=True, leaves_only=True):
         name = path if isinstance(path, str) else ".".join(path)
         if name not in parameters:
@@ -89,4 +92,7 @@ def install(module: nn.Module, genome: TensorDictBase) -> None:
                 f"{name} has shape {tuple(parameters[name].shape)}, "
                 f"the genome's is {tuple(value.shape)}"
             )
+        values[name] = value
+    # Only now: a genome that does not fit changes nothing.
+    for name, value in values.items():
         parameters[name].copy_(value)

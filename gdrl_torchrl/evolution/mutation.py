@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
 
 import torch
 from tensordict import TensorDictBase
-
-Reading = Literal["bernoulli", "pseudocode", "scaled"]
 
 
 def bernoulli_mutation(
@@ -94,7 +91,7 @@ MUTATIONS: dict[str, Callable[..., TensorDictBase]] = {
 }
 
 
-def standard_deviation(mut_v: float, meaning: Literal["std", "variance"]) -> float:
+def standard_deviation(mut_v: float, meaning: str) -> float:
     """Standard deviation that the papers' ``mut_v`` stands for.
 
     Raises:

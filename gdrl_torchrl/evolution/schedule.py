@@ -84,6 +84,16 @@ class SuccessWindow:
             self._finished.append(result)
             del self._open[first]
 
+    def is_open(self, episode: int) -> bool:
+        """Whether an episode has begun and is not in the window yet."""
+        return episode in self._open
+
+    def forget_running(self) -> None:
+        """Drop the episodes that have not ended: they never will."""
+        ended = [result for result in self._open.values() if result is not None]
+        self._finished.extend(ended)
+        self._open.clear()
+
     def __len__(self) -> int:
         return len(self._finished)
 

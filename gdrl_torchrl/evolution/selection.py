@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from tensordict import TensorDictBase
 
 from gdrl_torchrl import keys
 
-TieRule = Literal["return_then_parent", "parent", "child"]
 TIE_RULES: tuple[str, ...] = ("return_then_parent", "parent", "child")
 
 
@@ -27,7 +24,7 @@ def select_best(
     evaluation: TensorDictBase,
     *,
     parent: int = 0,
-    tie_rule: TieRule = "return_then_parent",
+    tie_rule: str = "return_then_parent",
 ) -> int:
     """Index of the member that becomes the agent.
 

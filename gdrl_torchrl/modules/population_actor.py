@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
@@ -45,7 +47,8 @@ class PopulationActor:
                 missing (and all buffers) are the actor's own.
         """
         count = genomes.batch_size[0]
-        whole = TensorDict.from_module(self._prefix).data.expand(count)
+        own: Any = TensorDict.from_module(self._prefix)
+        whole = own.data.expand(count)
         # A locked view of the module: copied structure, shared memory.
         self._params = whole.copy().unlock_().update(genomes)
 
@@ -96,7 +99,7 @@ def _split(
     """The shortest beginning of an actor that owns all its parameters, and the rest."""
     if not isinstance(actor, TensorDictSequential):
         return actor, []
-    parts = list(actor.module)
+    parts: list[Any] = list(actor.module)
     owners = [i for i, part in enumerate(parts) if any(True for _ in part.parameters())]
     if not owners:
         raise ValueError(f"{type(actor).__name__} has no parameters")

@@ -7,7 +7,6 @@ import warnings
 from typing import Any
 
 import torch
-from gdrl_tasks import NavigationTask
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import (
@@ -22,6 +21,7 @@ from torchrl.objectives.common import LossModule
 from torchrl.trainers import Trainer
 from torchrl.trainers.algorithms import PPOTrainer
 
+from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.schema import EvolutionConfig, ExperimentConfig, NetworkConfig
 from gdrl_torchrl.config.task import make_task_from_config
 from gdrl_torchrl.envs.make import make_env
@@ -46,6 +46,9 @@ class Training:
     actor: ProbabilisticActor
     loss: LossModule
     optimizer: torch.optim.Optimizer
+    collector: Collector
+    buffer: TensorDictReplayBuffer
+    """Holds one batch, of which updates draw minibatches."""
     trainer: Trainer
     genetic: GeneticHook
     """Watches success; evaluates populations unless evolution is disabled."""
@@ -84,6 +87,7 @@ def build_training(config: ExperimentConfig) -> Training:
     critic = make_value_network(
         task.spec.observation_size,
         num_cells=tuple(network.critic_cells),
+        sees_time=network.critic_sees_time,
         activation=ACTIVATIONS[network.activation],
     )
     loss, advantage = make_ppo_loss(actor, critic, algorithm)
@@ -110,7 +114,7 @@ def build_training(config: ExperimentConfig) -> Training:
             collector=collector,
             total_frames=_NO_FRAME_LIMIT,
             frame_skip=1,
-            optim_steps_per_batch=None,
+            optim_steps_per_batch=None,  # pyright: ignore[reportArgumentType]
             loss_module=loss,
             optimizer=optimizer,
             num_epochs=algorithm.num_epochs,
@@ -125,7 +129,9 @@ def build_training(config: ExperimentConfig) -> Training:
         config, task, actor=actor, critic=critic, optimizer=optimizer
     )
     genetic.register(trainer)
-    return Training(task, env, actor, loss, optimizer, trainer, genetic)
+    return Training(
+        task, env, actor, loss, optimizer, collector, buffer, trainer, genetic
+    )
 
 
 def make_actor(task: NavigationTask, network: NetworkConfig) -> ProbabilisticActor:
@@ -133,7 +139,7 @@ def make_actor(task: NavigationTask, network: NetworkConfig) -> ProbabilisticAct
     size = task.spec.action_size
     return make_tanh_normal_actor(
         task.spec.observation_size,
-        Bounded(low=-1.0, high=1.0, shape=(size,), dtype=torch.float32),
+        Bounded(low=-1.0, high=1.0, shape=torch.Size([size]), dtype=torch.float32),
         num_cells=tuple(network.actor_cells),
         activation=ACTIVATIONS[network.activation],
         initial_std=network.initial_std,

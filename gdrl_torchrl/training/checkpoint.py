@@ -20,8 +20,8 @@ from gdrl_torchrl.training.build import Training
 class TrainingState:
     """All state of a :class:`Training` as one ``state_dict``.
 
-    Networks, optimiser, genetic hook, simulator, collector counters and the global
-    torch generator. A dm_control environment has no state to restore: a run on that
+    Networks, optimiser, genetic hook, simulator, order of minibatches, collector
+    counters and the global torch generator. A dm_control environment has no state to restore: a run on that
     backend resumes with new episodes.
 
     Args:
@@ -42,6 +42,8 @@ class TrainingState:
             "optimizer": training.optimizer.state_dict(),
             "genetic": training.genetic.state_dict(),
             "env": env.get_state() if isinstance(env, NavigationEnv) else None,
+            # The order of the next epoch is drawn when the one before it ends.
+            "sampler": dict(training.buffer.sampler.state_dict()),
             "counters": self.counters.state_dict(),
             "collected_frames": int(training.trainer.collected_frames),
             "generator": torch.get_rng_state(),
@@ -53,13 +55,14 @@ class TrainingState:
         training.loss.load_state_dict(state_dict["loss"])
         training.optimizer.load_state_dict(state_dict["optimizer"])
         training.genetic.load_state_dict(state_dict["genetic"])
+        training.buffer.sampler.load_state_dict(state_dict["sampler"])
         self.counters.load_state_dict(state_dict["counters"])
         training.trainer.collected_frames = state_dict["collected_frames"]
         if state_dict["env"] is not None:
             assert isinstance(training.env, NavigationEnv)
             training.env.set_state(state_dict["env"])
         # The environment goes on from its state; the collector reads where that is.
-        training.trainer.collector.reset()
+        training.collector.reset()
         # Last: whatever came before must not have drawn from it.
         torch.set_rng_state(state_dict["generator"].to(torch.uint8))
 

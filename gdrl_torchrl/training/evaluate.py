@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
-from gdrl_tasks.navigation import success_weighted_path_length
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from tensordict import TensorDict
@@ -19,6 +17,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
+from gdrl_tasks.navigation import success_weighted_path_length
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.envs.make import Backend, make_env
@@ -60,9 +60,9 @@ def evaluate_policy(
     )
     try:
         seeds = held_out_seeds(config)
-        result = evaluator.evaluate(
+        result: Any = evaluator.evaluate(
             stack_copies(genome_of(actor), 1), seeds=torch.from_numpy(seeds)
-        )[0]
+        ).squeeze(0)
     finally:
         evaluator.close()
     outcome = result[keys.OUTCOMES].numpy()

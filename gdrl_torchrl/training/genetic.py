@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -16,7 +16,7 @@ from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
 from gdrl_torchrl.evolution.mutation import bernoulli_mutation
 from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
-from gdrl_torchrl.evolution.selection import TieRule, select_best
+from gdrl_torchrl.evolution.selection import select_best
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 Mutation = Callable[..., TensorDictBase]
@@ -84,11 +84,11 @@ class GeneticHook(TrainerHookBase):
         std: float = 0.1,
         schedule: MutationSchedule | None = None,
         window_episodes: int = 100,
-        tie_rule: TieRule = "return_then_parent",
+        tie_rule: str = "return_then_parent",
         optimizer: torch.optim.Optimizer | None = None,
-        optimizer_on_switch: Literal["keep", "reset"] = "keep",
+        optimizer_on_switch: str = "keep",
         critic: torch.nn.Module | None = None,
-        critic_on_switch: Literal["keep", "reset"] = "keep",
+        critic_on_switch: str = "keep",
         seed: int = 0,
         success_key: str = keys.SUCCESS,
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
@@ -99,6 +99,12 @@ class GeneticHook(TrainerHookBase):
         ):
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value} must be >= 1")
+        for name, value in (
+            ("optimizer_on_switch", optimizer_on_switch),
+            ("critic_on_switch", critic_on_switch),
+        ):
+            if value not in ("keep", "reset"):
+                raise ValueError(f"{name}={value!r} must be 'keep' or 'reset'")
         if optimizer_on_switch == "reset" and optimizer is None:
             raise ValueError("optimizer_on_switch='reset' needs an optimizer")
         if critic_on_switch == "reset" and critic is None:
@@ -149,10 +155,7 @@ class GeneticHook(TrainerHookBase):
         if episode is None:
             episode = batch["collector", "traj_ids"]
         episode = episode.reshape(-1)
-        begun = episode[episode > self._last_episode].unique()
-        self.window.begin(begun.tolist())
-        if len(begun):
-            self._last_episode = int(begun[-1])
+        self._note_starts(episode.unique().tolist())
         ended = episode[done]
         success = batch.get(("next", self.success_key), None)
         if success is None:
@@ -163,6 +166,18 @@ class GeneticHook(TrainerHookBase):
             self.window.finish(number, flag)
         self.episodes_completed += len(ended)
         return batch
+
+    def _note_starts(self, episodes: list[int]) -> None:
+        known = (n for n in episodes if n <= self._last_episode)
+        if not all(self.window.is_open(number) for number in known):
+            # An episode that had ended is back: numbers begin anew, as after a restart
+            # with new episodes, and those that were running are gone.
+            self.window.forget_running()
+            self._last_episode = -1
+        begun = [number for number in episodes if number > self._last_episode]
+        self.window.begin(begun)
+        if begun:
+            self._last_episode = begun[-1]
 
     def __call__(self) -> None:
         """Evaluate if enough episodes have ended since the last evaluation."""
@@ -211,11 +226,13 @@ class GeneticHook(TrainerHookBase):
         if self.critic_on_switch == "reset":
             assert self.critic is not None
             for module in self.critic.modules():
-                if hasattr(module, "reset_parameters"):
-                    module.reset_parameters()
+                reset = getattr(module, "reset_parameters", None)
+                if callable(reset):
+                    reset()
         if self._trainer is not None:
             # Collectors in other processes hold copies of the weights.
-            self._trainer.collector.update_policy_weights_()
+            collector: Any = self._trainer.collector
+            collector.update_policy_weights_()
 
     def state_dict(self) -> dict[str, Any]:
         """Window, counters and generators."""

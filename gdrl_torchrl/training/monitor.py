@@ -10,7 +10,6 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
-
 from tensordict import TensorDictBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
@@ -247,5 +246,3 @@ def is_spent(budget: BudgetConfig, counters: dict[str, Any]) -> bool:
         (budget.wall_s, counters["wall_s"]),
     )
     return any(limit is not None and spent >= limit for limit, spent in limits)
-
-

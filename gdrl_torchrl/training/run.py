@@ -39,7 +39,7 @@ _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
 
 
-class Interrupted(RuntimeError):
+class InterruptedRunError(RuntimeError):
     """A signal ended training; the run was saved and can be resumed.
 
     Attributes:
@@ -64,7 +64,7 @@ def run_experiment(config: ExperimentConfig) -> Path:
     Raises:
         ValueError: If the configuration is not valid.
         RunDirectoryError: If the directory cannot be used.
-        Interrupted: If a signal stopped training.
+        InterruptedRunError: If a signal stopped training.
     """
     directory = RunDirectory.of(config)
     with directory.locked():
@@ -117,9 +117,7 @@ def _train(
         )
         monitor.register(training.trainer)
         state = TrainingState(training, monitor)
-        checkpoints = Checkpoints(
-            directory.checkpoints, state, keep=config.checkpoint.keep
-        )
+        checkpoints = Checkpoints(directory.checkpoints, state, keep=config.checkpoint.keep)
         if checkpoints.load_latest():
             _logger.info("going on at %d agent steps", monitor.agent_steps)
         table.cut_after(monitor.agent_steps)
@@ -129,7 +127,7 @@ def _train(
             training.trainer.train()
         costs = monitor.counters()
         if monitor.interrupted_by is not None and not is_spent(config.budget, costs):
-            raise Interrupted(monitor.interrupted_by, directory.path)
+            raise InterruptedRunError(monitor.interrupted_by, directory.path)
     return costs
 
 

@@ -8,6 +8,7 @@ import fcntl
 import functools
 import hashlib
 import importlib.metadata
+import io
 import json
 import os
 import platform
@@ -18,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import gdrl_tasks
-
 from gdrl_torchrl.config.schema import ExperimentConfig
 
 _NOT_IN_KEY = (
@@ -218,20 +218,13 @@ class MetricsTable:
 
     def cut_after(self, agent_steps: int) -> None:
         """Drop the rows after a step: what a resumed run will write again."""
-        with open(self.path, newline="") as file:
-            rows = list(csv.DictReader(file))
-        kept = [row for row in rows if _is_before(row, agent_steps)]
+        # A row that a kill cut short lacks the end of its line.
+        text, end, _ = self.path.read_text().rpartition("\n")
+        rows = csv.DictReader(io.StringIO(text + end))
+        kept = [row for row in rows if int(row["agent_steps"]) <= agent_steps]
         temporary = self.path.with_name(f".{self.path.name}.partial")
         with open(temporary, "w", newline="") as file:
             writer = csv.DictWriter(file, self.columns, extrasaction="ignore")
             writer.writeheader()
             writer.writerows(kept)
         os.replace(temporary, self.path)
-
-
-def _is_before(row: Mapping[str, str], agent_steps: int) -> bool:
-    # A row that a kill cut short has no number.
-    try:
-        return int(row["agent_steps"]) <= agent_steps
-    except (TypeError, ValueError):
-        return False

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import torch
-from gdrl_tasks import Stream, episode_seeds
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
@@ -14,10 +13,11 @@ from torchrl.envs import EnvBase, Transform
 from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from gdrl_tasks import Stream, episode_seeds
 from gdrl_torchrl import keys
 from gdrl_torchrl.modules.population_actor import PopulationActor
 
-Fitness = Literal["goals", "return"] | Callable[[TensorDictBase], torch.Tensor]
+Fitness = str | Callable[[TensorDictBase], torch.Tensor]
 
 
 class PopulationEvaluator(Transform):
@@ -65,11 +65,15 @@ class PopulationEvaluator(Transform):
         >>> from gdrl_torchrl.modules.actor import make_tanh_normal_actor
         >>> env = NavigationEnv(make_task("water", step_limit=5), num_worlds=6)
         >>> actor = make_tanh_normal_actor(3, env.full_action_spec_unbatched["action"])
-        >>> evaluator = PopulationEvaluator(actor, num_episodes=2, create_env_fn=lambda: env)
+        >>> evaluator = PopulationEvaluator(
+        ...     actor, num_episodes=2, create_env_fn=lambda: env
+        ... )
         >>> result = evaluator.evaluate(stack_copies(genome_of(actor), 3))
         >>> result["steps"].tolist()
         [[5, 5], [5, 5], [5, 5]]
     """
+
+    population: PopulationActor
 
     def __init__(
         self,
@@ -81,7 +85,7 @@ class PopulationEvaluator(Transform):
         fitness: Fitness = "goals",
         seed: int = 0,
         episode_seeding: Literal["auto", "reset", "set_seed", "none"] = "auto",
-        exploration_type: ExplorationType = ExplorationType.DETERMINISTIC,
+        exploration_type: Any = ExplorationType.DETERMINISTIC,
         params_key: NestedKey = keys.PARAMS,
         success_key: NestedKey = keys.SUCCESS,
         inverse: bool = False,
@@ -275,8 +279,8 @@ class PopulationEvaluator(Transform):
             fitness = scores["success"].sum(dim=1).float()
         else:
             fitness = result[keys.RETURN_MEAN].clone()
-        broken = ~scores["finite"].all(dim=1)
-        return result.set(keys.FITNESS, torch.where(broken, torch.nan, fitness))
+        broken = ~scores.get("finite").all(dim=1)
+        return result.set(keys.FITNESS, fitness.masked_fill(broken, torch.nan))
 
 
 class _Rollout:
@@ -385,8 +389,8 @@ def _ordered(log: list[TensorDictBase]) -> TensorDictBase:
     """Transitions of all steps as one tensordict, episode after episode."""
     if not log:
         return TensorDict(batch_size=[0])
-    whole = torch.cat(log)
-    span = int(whole["time"].max()) + 1
-    episodes = int(whole["episode"].max()) + 1
-    order = (whole["member"] * episodes + whole["episode"]) * span + whole["time"]
-    return whole[order.argsort()].exclude("time")
+    whole: Any = TensorDict.cat(log)
+    member, episode, time = (whole.get(name) for name in ("member", "episode", "time"))
+    span, episodes = int(time.max()) + 1, int(episode.max()) + 1
+    order = (member * episodes + episode) * span + time
+    return whole.exclude("time")[order.argsort()]

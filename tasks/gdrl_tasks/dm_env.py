@@ -185,7 +185,8 @@ def make_environment(
     The step limit is the task's own: the environment has no time limit, because
     ``control.Environment`` never asks for the termination of its last allowed step.
     """
-    kwargs = {"n_sub_steps": task.spec.num_substeps} | dict(environment_kwargs or {})
+    kwargs: dict[str, Any] = {"n_sub_steps": task.spec.num_substeps}
+    kwargs |= dict(environment_kwargs or {})
     physics = TaskPhysics.from_xml_string(task.xml())
     suite_task = SuiteTask(
         task, random, flat_observation=kwargs.get("flat_observation", False)

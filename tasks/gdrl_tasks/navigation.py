@@ -100,8 +100,9 @@ def decide_outcome(reached: Any, collided: Any, timed_out: Any, diverged: Any) -
 
 
 def success_weighted_path_length(success: Any, shortest: Any, path: Any) -> Any:
-    """SPL per episode: success times shortest over travelled length (Anderson et al.
-    2018, https://arxiv.org/abs/1807.06757).
+    """SPL per episode: success times shortest over travelled length.
+
+    Anderson et al. 2018, https://arxiv.org/abs/1807.06757.
 
     Args:
         success: Mask ``[W]``.

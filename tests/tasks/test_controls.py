@@ -16,9 +16,7 @@ pytestmark = pytest.mark.slow
 def success_rate(policy, **options):
     """Share of episodes that reach the goal; ``policy(observation, episodes)``."""
     worlds = gdrl_tasks.simulate("water", num_worlds=NUM_EPISODES, **options)
-    observation = worlds.reset(
-        seeds=episode_seeds(Stream.CONTROLLER, 0, 0, NUM_EPISODES)
-    )
+    observation = worlds.reset(seeds=episode_seeds(Stream.CONTROLLER, 0, 0, NUM_EPISODES))
     running = np.arange(NUM_EPISODES)
     while len(running):
         result = worlds.step(policy(observation, running), running)
@@ -54,9 +52,7 @@ def untrained_networks(seed):
         network = episodes // EPISODES_PER_NETWORK
         value = observation
         for weight, bias in layers[:-1]:
-            value = np.tanh(
-                np.einsum("koi,ki->ko", weight[network], value) + bias[network]
-            )
+            value = np.tanh(np.einsum("koi,ki->ko", weight[network], value) + bias[network])
         weight, bias = layers[-1]
         mean = np.einsum("koi,ki->ko", weight[network], value) + bias[network]
         return np.tanh(mean + generator.normal(size=mean.shape))
@@ -68,9 +64,8 @@ def test_no_action_almost_never_reaches_the_goal():
     assert success_rate(no_action) <= 0.02
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_untrained_networks_reach_it_now_and_then(seed):
-    assert 0.02 <= success_rate(untrained_networks(seed)) <= 0.2
+def test_untrained_networks_reach_it_now_and_then():
+    assert 0.02 <= success_rate(untrained_networks(0)) <= 0.2
 
 
 def test_a_pursuit_controller_nearly_always_reaches_it():
@@ -78,7 +73,5 @@ def test_a_pursuit_controller_nearly_always_reaches_it():
 
 
 def test_the_far_goals_are_harder():
-    far = {"difficulty": "far"}
-    assert success_rate(no_action, **far) <= 0.02
-    assert success_rate(untrained_networks(0), **far) <= 0.05
-    assert 0.8 <= success_rate(chase, **far) < 0.98
+    assert success_rate(untrained_networks(0), difficulty="far") <= 0.02
+    assert 0.85 <= success_rate(chase, difficulty="far") < 0.98

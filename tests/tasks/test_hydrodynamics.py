@@ -1,6 +1,7 @@
 """The hull floats, swings, drives and drifts as its equations say."""
 
 import dataclasses
+import itertools
 import math
 
 import mujoco
@@ -249,7 +250,8 @@ def test_energy_at_extremes_of_a_free_oscillation_never_grows(start, coordinate,
     worlds = simulate(1, control_interval_s=SUBSTEP_S)
     worlds.reset()
     rest = worlds.task.rest_height_m
-    worlds.qpos[0] = np.array(start) + [0.0, 0.0, rest, 0.0, 0.0, 0.0, 0.0]
+    worlds.qpos[0] = start
+    worlds.qpos[0, 2] += rest
     worlds.qpos[0, 3:] /= np.linalg.norm(worlds.qpos[0, 3:])
     lowest = energy(np.array([0.0, 0.0, rest, 1.0, 0.0, 0.0, 0.0]), np.zeros(6))
     states = [(worlds.qpos[0].copy(), worlds.qvel[0].copy())]
@@ -257,7 +259,7 @@ def test_energy_at_extremes_of_a_free_oscillation_never_grows(start, coordinate,
         worlds.step(np.zeros((1, 2)))
         states.append((worlds.qpos[0].copy(), worlds.qvel[0].copy()))
     extremes = [energy(*states[0]) - lowest]
-    for (qpos, before), (_, after) in zip(states[1:], states[2:], strict=False):
+    for (qpos, before), (_, after) in itertools.pairwise(states[1:]):
         # A leapfrog: the velocity at a position is the mean of its neighbours.
         if before[speed] * after[speed] <= 0.0:
             extremes.append(energy(qpos, 0.5 * (before + after)) - lowest)

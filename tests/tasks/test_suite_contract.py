@@ -1,6 +1,7 @@
 """What dm_control's suite asks of its tasks, asked of every task registered here."""
 
 import functools
+import itertools
 
 import numpy as np
 import pytest
@@ -177,7 +178,7 @@ def test_observations_share_no_memory(name, options):
     environment = gdrl_tasks.load(name, random=0, **options)
     policy = random_policy(environment.action_spec(), 0)
     steps = [environment.reset(), *(environment.step(policy()) for _ in range(2))]
-    for earlier, later in zip(steps, steps[1:], strict=False):
+    for earlier, later in itertools.pairwise(steps):
         for key, value in earlier.observation.items():
             assert not np.may_share_memory(value, later.observation[key])
 
@@ -301,9 +302,7 @@ def test_rendering_does_not_change_what_happens(name, opengl):
         action = policy()
         seen.physics.render(32, 32, camera_id="chase")
         seen.step(action), unseen.step(action)
-        np.testing.assert_array_equal(
-            seen.physics.get_state(), unseen.physics.get_state()
-        )
+        np.testing.assert_array_equal(seen.physics.get_state(), unseen.physics.get_state())
 
 
 @pytest.mark.render

@@ -55,9 +55,7 @@ def spectral_moments(series, interval_s):
         WaterOptions(sea="rough"),
         # The shortest waves of the lake, and swell with many components.
         WaterOptions(significant_wave_height_m=0.034, peak_period_s=0.714),
-        WaterOptions(
-            significant_wave_height_m=0.3, peak_period_s=4.0, wave_components=40
-        ),
+        WaterOptions(significant_wave_height_m=0.3, peak_period_s=4.0, wave_components=40),
     ],
     ids=["lake", "rough", "shortest", "swell"],
 )

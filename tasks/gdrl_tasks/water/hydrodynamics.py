@@ -191,9 +191,7 @@ def hull_wrench(
     acceleration, spin_rate = start * acceleration, start * spin_rate
 
     # The wrench that gives MuJoCo's rigid body this acceleration.
-    rigid_force = hull.mass_kg * (
-        acceleration + _cross(xp, omega_body, velocity) - gravity
-    )
+    rigid_force = hull.mass_kg * (acceleration + _cross(xp, omega_body, velocity) - gravity)
     rigid_torque = inertia * spin_rate + _cross(xp, omega_body, inertia * omega_body)
     return xp.concat([to_world(rigid_force), to_world(rigid_torque)], axis=-1)
 

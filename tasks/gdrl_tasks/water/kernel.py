@@ -163,10 +163,7 @@ def substep(
                     + rotation[1, 2] * pz
                 )
                 phase = (
-                    kx * start_x
-                    + ky * start_y
-                    + phases[world, c]
-                    - omega * time_s[world]
+                    kx * start_x + ky * start_y + phases[world, c] - omega * time_s[world]
                 )
                 cosine, sine = math.cos(phase), math.sin(phase)
                 for i in range(first, first + stations):

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from gdrl_tasks.task import WorldArrays
-from gdrl_tasks.water.hull import WATER_COLOUR
+from gdrl_tasks.water.model import WATER_COLOUR
 from gdrl_tasks.water.waves import elevation
 
 _CHASE_BEHIND_M = 3.4
@@ -37,14 +37,14 @@ def surface_grid(
     moving = sea["phase"] - sea["omega"] * time_s
     columns = np.exp(1j * (np.outer(sea["wavenumber_x"], x) + moving[:, None]))
     rows = np.exp(1j * np.outer(y, sea["wavenumber_y"])) * sea["amplitude"]
-    return (rows @ columns).real
+    return np.real(rows @ columns)
 
 
 def draw_sea_surface(physics: Any, arrays: WorldArrays, sea: dict[str, Any]) -> None:
     """Bring sea, goal and chase camera of a dm_control physics up to date.
 
     Args:
-        physics: Physics of :func:`gdrl_tasks.water.hull.model_xml`'s model.
+        physics: Physics of :func:`gdrl_tasks.water.model.model_xml`'s model.
         arrays: Arrays of the task, for one world.
         sea: Wave components ``[1, C]``.
     """

@@ -11,8 +11,9 @@ import numpy as np
 
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
-from gdrl_tasks.water.hull import make_hull, model_xml
+from gdrl_tasks.water.hull import make_hull
 from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
+from gdrl_tasks.water.model import model_xml
 from gdrl_tasks.water.scenery import draw_sea_surface
 
 DIFFICULTIES: dict[str, dict[str, Any]] = {
@@ -74,7 +75,6 @@ class WaterOptions:
         for name, value in DIFFICULTIES[self.difficulty].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
-        _check_choice("sea", self.sea, waves.SEAS)
         _check_choice("reward", self.reward, ("sparse", "dense"))
         _check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
         _check_choice("actions", self.actions, ("continuous", "discrete"))
@@ -82,6 +82,15 @@ class WaterOptions:
         object.__setattr__(self, "extra_observations", extras)
         for name in extras:
             _check_choice("extra_observations", name, EXTRA_OBSERVATIONS)
+        if not isinstance(self.dead_zone_compensated, bool | np.bool_):
+            raise ValueError(
+                f"dead_zone_compensated={self.dead_zone_compensated!r} must be a bool"
+            )
+        self._check_goal()
+        self._check_sea()
+        self._check_times()
+
+    def _check_goal(self) -> None:
         distances = _as_tuple("goal_distance_m", self.goal_distance_m)
         for distance in distances:
             _check_range("goal_distance_m", distance, above=0.0, most=1e4)
@@ -89,22 +98,25 @@ class WaterOptions:
             raise ValueError(f"goal_distance_m={distances} must be (nearest, farthest)")
         low, high = float(distances[0]), float(distances[1])
         object.__setattr__(self, "goal_distance_m", (low, high))
-        _check_range("goal_tolerance_m", self.goal_tolerance_m, above=0.0)
-        if self.goal_tolerance_m >= low:
+        tolerance = self.goal_tolerance_m
+        _check_range("goal_tolerance_m", tolerance, above=0.0)
+        if tolerance is not None and tolerance >= low:
             raise ValueError(
-                f"goal_tolerance_m={self.goal_tolerance_m} must be below the nearest "
+                f"goal_tolerance_m={tolerance} must be below the nearest "
                 f"goal, goal_distance_m={self.goal_distance_m}"
             )
+
+    def _check_sea(self) -> None:
+        _check_choice("sea", self.sea, waves.SEAS)
         if self.significant_wave_height_m is not None:
-            _check_range(
-                "significant_wave_height_m",
-                self.significant_wave_height_m,
-                least=0.0,
-                most=2.0,
-            )
+            height = self.significant_wave_height_m
+            _check_range("significant_wave_height_m", height, least=0.0, most=2.0)
         if self.peak_period_s is not None:
             _check_range("peak_period_s", self.peak_period_s, least=0.4, most=1e5)
         _check_range("current_m_s", self.current_m_s, least=0.0, most=5.0)
+        _check_count("wave_components", self.wave_components, most=1000)
+
+    def _check_times(self) -> None:
         _check_range("control_interval_s", self.control_interval_s, above=0.0, most=10.0)
         _check_range("substep_s", self.substep_s, least=1e-4, most=0.1)
         ratio = self.control_interval_s / self.substep_s
@@ -113,14 +125,7 @@ class WaterOptions:
                 f"control_interval_s={self.control_interval_s} must be a multiple of "
                 f"substep_s={self.substep_s}"
             )
-        for name, most in (("step_limit", math.inf), ("wave_components", 1000)):
-            if not isinstance(getattr(self, name), int | np.integer):
-                raise ValueError(f"{name}={getattr(self, name)!r} must be an integer")
-            _check_range(name, getattr(self, name), least=1, most=most)
-        if not isinstance(self.dead_zone_compensated, bool | np.bool_):
-            raise ValueError(
-                f"dead_zone_compensated={self.dead_zone_compensated!r} must be a bool"
-            )
+        _check_count("step_limit", self.step_limit)
 
 
 class WaterTask(NavigationTask):
@@ -138,7 +143,13 @@ class WaterTask(NavigationTask):
     def __init__(self, options: WaterOptions | None = None) -> None:
         self.options = options = options or WaterOptions()
         self.hull = make_hull()
+        # Its difficulty has filled in what was not given.
+        assert options.goal_distance_m is not None
+        assert options.goal_tolerance_m is not None
+        assert options.sea is not None
+        self.goal_distance_m = options.goal_distance_m
         self.goal_tolerance_m = options.goal_tolerance_m
+        self._sea = waves.SEAS[options.sea]
         self.progress_weight = 1.0 if options.reward == "dense" else 0.0
         self.truncates_at_limit = options.at_limit == "truncated"
         observation = {
@@ -148,7 +159,7 @@ class WaterTask(NavigationTask):
         }
         for extra in options.extra_observations:
             observation[extra] = EXTRA_OBSERVATIONS[extra]
-        farthest = options.goal_distance_m[1]
+        farthest = self.goal_distance_m[1]
         is_discrete = options.actions == "discrete"
         self.spec = TaskSpec(
             observation=observation,
@@ -167,7 +178,7 @@ class WaterTask(NavigationTask):
     @property
     def distance_scale_m(self) -> float:
         """The farthest goal is observed at distance 1."""
-        return self.options.goal_distance_m[1]
+        return self.goal_distance_m[1]
 
     @property
     def rest_height_m(self) -> float:
@@ -179,7 +190,7 @@ class WaterTask(NavigationTask):
         return model_xml(
             self.hull,
             substep_s=self.spec.substep_s,
-            farthest_goal_m=self.options.goal_distance_m[1],
+            farthest_goal_m=self.goal_distance_m[1],
             goal_tolerance_m=self.goal_tolerance_m,
         )
 
@@ -191,7 +202,7 @@ class WaterTask(NavigationTask):
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
         """Sea, current and thrusters."""
         shape = (num_worlds, self.options.wave_components)
-        arrays = {name: np.zeros(shape) for name in waves.SEA_FIELDS}
+        arrays: WorldArrays = {name: np.zeros(shape) for name in waves.SEA_FIELDS}
         for name in ("current", "thrust", "command"):
             arrays[name] = np.zeros((num_worlds, 2))
         for name in ("significant_wave_height", "peak_period", "wave_direction"):
@@ -203,7 +214,7 @@ class WaterTask(NavigationTask):
         options = self.options
         generator = np.random.default_rng(seed)
         heading, bearing, direction, current = generator.uniform(-math.pi, math.pi, 4)
-        distance = generator.uniform(*options.goal_distance_m)
+        distance = generator.uniform(self.goal_distance_m[0], self.goal_distance_m[1])
         height, period = self._draw_sea_state(generator)
         sea = waves.draw_sea(
             generator,
@@ -229,7 +240,7 @@ class WaterTask(NavigationTask):
         return Episode(qpos=qpos, qvel=np.zeros(6), arrays=arrays)
 
     def _draw_sea_state(self, generator: np.random.Generator) -> tuple[float, float]:
-        preset = waves.SEAS[self.options.sea]
+        preset = self._sea
         wind, fetch = generator.uniform(size=2)
         if preset is None:
             height, period = 0.0, 1.0
@@ -288,9 +299,7 @@ class WaterTask(NavigationTask):
         values = {"pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))}
         extras = self.options.extra_observations
         if "roll" in extras:
-            values["roll"] = np.arctan2(
-                2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)
-            )
+            values["roll"] = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         if "velocity" in extras:
             _, yaw = self.planar_pose(qpos)
             ahead = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
@@ -312,9 +321,15 @@ def _check_choice(name: str, value: Any, choices: Any) -> None:
         raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
 
 
+def _check_count(name: str, value: int, *, most: float = math.inf) -> None:
+    if not isinstance(value, int | np.integer):
+        raise ValueError(f"{name}={value!r} must be an integer")
+    _check_range(name, value, least=1, most=most)
+
+
 def _check_range(
     name: str,
-    value: float,
+    value: Any,
     *,
     above: float = -math.inf,
     least: float = -math.inf,

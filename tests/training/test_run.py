@@ -1,0 +1,195 @@
+"""Runs from start to end: interrupted, resumed, repeated, on both backends."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from gdrl_torchrl.training import run
+from gdrl_torchrl.training.monitor import COLUMNS
+from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
+from gdrl_torchrl.training.run_directory import MetricsTable, RunDirectoryError
+
+pytestmark = pytest.mark.usefixtures("without_figures")
+
+
+def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(
+    tiny, tmp_path, rows_of, evaluation_of
+):
+    whole = run_experiment(tiny("budget.agent_steps=240", f"runs_dir={tmp_path / 'a'}"))
+    for steps in (80, 160, 240):
+        pieces = run_experiment(
+            tiny(f"budget.agent_steps={steps}", f"runs_dir={tmp_path / 'b'}")
+        )
+    assert rows_of(pieces) == rows_of(whole)
+    mine, other = evaluation_of(pieces), evaluation_of(whole)
+    assert mine.pop("wall_s") > 0.0
+    assert other.pop("wall_s") > 0.0
+    assert mine == other
+    rows = rows_of(whole)
+    assert [row["agent_steps"] for row in rows] == ["40", "80", "120", "160", "200", "240"]
+    assert int(rows[-1]["evaluations"]) >= 2, "evaluations must be part of what is resumed"
+    assert int(rows[-1]["population_steps"]) > 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_saves_and_the_same_command_goes_on(
+    number, tiny, tmp_path, monkeypatch, rows_of, evaluation_of
+):
+    whole = run_experiment(tiny(f"runs_dir={tmp_path / 'a'}"))
+    append = MetricsTable.append
+
+    def append_and_interrupt(self, row):
+        append(self, row)
+        if row["agent_steps"] == 80:
+            os.kill(os.getpid(), number)
+
+    before = signal.getsignal(number)
+    config = tiny(f"runs_dir={tmp_path / 'b'}")
+    with monkeypatch.context() as patch:
+        patch.setattr(MetricsTable, "append", append_and_interrupt)
+        with pytest.raises(InterruptedRunError) as stop:
+            run_experiment(config)
+    assert stop.value.signal == number
+    assert str(stop.value.path) in str(stop.value)
+    assert signal.getsignal(number) is before
+    assert not (stop.value.path / "DONE").exists()
+    resumed = run_experiment(config)
+    assert resumed == stop.value.path
+    assert rows_of(resumed) == rows_of(whole)
+    assert (
+        evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
+    )
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(
+    tiny, tmp_path, monkeypatch, rows_of, evaluation_of
+):
+    every = "checkpoint.interval_s=0"
+    whole = run_experiment(tiny(every, f"runs_dir={tmp_path / 'a'}"))
+    append = MetricsTable.append
+
+    def append_and_die(self, row):
+        append(self, row)
+        if row["agent_steps"] == 80:
+            raise KeyboardInterrupt
+
+    config = tiny(every, f"runs_dir={tmp_path / 'b'}")
+    with monkeypatch.context() as patch:
+        patch.setattr(MetricsTable, "append", append_and_die)
+        with pytest.raises(KeyboardInterrupt):
+            run_experiment(config)
+    # The row of step 80 was written and cut short, its checkpoint was not saved.
+    (metrics,) = (tmp_path / "b").rglob("metrics.csv")
+    metrics.write_bytes(metrics.read_bytes()[:-9])
+    resumed = run_experiment(config)
+    assert rows_of(resumed) == rows_of(whole)
+    assert (
+        evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
+    )
+
+
+def test_results_do_not_depend_on_threads_but_on_the_seed(
+    tiny, tmp_path, rows_of, evaluation_of
+):
+    # 72 worlds of the evaluation: enough for two threads to share them.
+    wide = ("evolution.num_trials=24", "budget.agent_steps=80")
+    one = run_experiment(tiny(*wide, f"runs_dir={tmp_path / 'a'}"))
+    two = run_experiment(
+        tiny(*wide, f"runs_dir={tmp_path / 'b'}", "simulation.num_threads=2")
+    )
+    assert rows_of(one) == rows_of(two)
+    assert int(rows_of(one)[-1]["evaluations"]) > 0
+    assert evaluation_of(one)["params_sha256"] == evaluation_of(two)["params_sha256"]
+    other = run_experiment(tiny(*wide, "seed=1", f"runs_dir={tmp_path / 'a'}"))
+    assert other.parent == one.parent
+    assert evaluation_of(one)["params_sha256"] != evaluation_of(other)["params_sha256"]
+
+
+def test_a_finished_run_is_not_trained_again(tiny, monkeypatch, rows_of):
+    path = run_experiment(tiny())
+    written = {p: p.stat().st_mtime_ns for p in path.rglob("*") if p.is_file()}
+
+    def no_training(config):
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(run, "build_training", no_training)
+    assert run_experiment(tiny()) == path
+    assert run_experiment(tiny("budget.agent_steps=40")) == path, "a smaller budget"
+    changed = {
+        p.name
+        for p, time in written.items()
+        if not p.exists() or p.stat().st_mtime_ns != time
+    }
+    assert changed <= {".lock"}
+
+
+def test_other_held_out_worlds_evaluate_again_without_training(
+    tiny, rows_of, evaluation_of
+):
+    path = run_experiment(tiny())
+    rows, digest = rows_of(path), evaluation_of(path)["params_sha256"]
+    assert run_experiment(tiny("evaluation.episodes=5")) == path
+    assert rows_of(path) == rows
+    assert evaluation_of(path)["episodes"] == 5
+    assert evaluation_of(path)["params_sha256"] == digest
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_run_of_another_version_of_the_code_needs_force(
+    finished, tiny, monkeypatch, rows_of
+):
+    path = run_experiment(tiny("budget.agent_steps=40"))
+    for module in ("run", "run_directory"):
+        monkeypatch.setattr(
+            f"gdrl_torchrl.training.{module}.code_version", lambda: "9.9+other"
+        )
+    steps = 40 if finished else 80
+    before = (path / "metrics.csv").read_bytes()
+    with pytest.raises(RunDirectoryError, match="force=true") as refused:
+        run_experiment(tiny(f"budget.agent_steps={steps}"))
+    assert "9.9+other" in str(refused.value)
+    assert str(path) in str(refused.value)
+    assert (path / "metrics.csv").read_bytes() == before
+    assert run_experiment(tiny(f"budget.agent_steps={steps}", "force=true")) == path
+    assert rows_of(path)[-1]["agent_steps"] == str(steps)
+
+
+def test_a_run_without_evolution_has_no_population_steps(tiny, rows_of, evaluation_of):
+    path = run_experiment(tiny("experiment=ppo_water", "evolution=none"))
+    record = evaluation_of(path)
+    assert record["algorithm"] == "ppo"
+    assert (record["population_steps"], record["evaluations"], record["switches"]) == (0,) * 3
+    assert record["agent_steps"] == record["total_steps"] == 120
+    assert all(row["population_steps"] == "0" for row in rows_of(path))
+    assert rows_of(path)[-1]["success_rate"] != ""
+
+
+def test_the_dm_control_backend_trains_and_evaluates_a_population_of_three(
+    tiny, rows_of, evaluation_of
+):
+    options = (
+        "task.backend=dm_control",
+        "algorithm.frames_per_batch=500",
+        "algorithm.minibatch_size=250",
+        "evolution.period_episodes=60",
+    )
+    path = run_experiment(tiny(*options, "budget.agent_steps=2000"))
+    rows, record = rows_of(path), evaluation_of(path)
+    assert record["agent_steps"] == 2000
+    assert record["evaluations"] >= 1
+    assert record["population_steps"] >= 3 * 2
+    assert rows[-1]["success_rate"] != ""
+    assert tuple(rows[0]) == tuple(name for name in COLUMNS if name != "wall_s")
+
+
+def test_a_run_on_the_dm_control_backend_goes_on(tiny, rows_of):
+    for steps in (80, 160):
+        path = run_experiment(
+            tiny("task.backend=dm_control", f"budget.agent_steps={steps}")
+        )
+    rows = rows_of(path)
+    assert [row["agent_steps"] for row in rows] == ["40", "80", "120", "160"]
+    assert int(rows[-1]["episodes"]) > int(rows[1]["episodes"]) > 0

@@ -1,0 +1,217 @@
+"""Run directories and the table of metrics."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gdrl_torchrl.training.run_directory import (
+    MetricsTable,
+    RunDirectory,
+    RunDirectoryError,
+    code_version,
+    run_key,
+)
+
+OTHER_WORDS = {
+    "difficulty": "far",
+    "sea": "rough",
+    "reward": "dense",
+    "at_limit": "truncated",
+    "actions": "discrete",
+    "activation": "relu",
+    "mutation": "scaled",
+    "mut_v_is": "variance",
+    "fitness": "return",
+    "tie_rule": "child",
+    "optimizer_on_switch": "reset",
+    "critic_on_switch": "reset",
+    "backend": "dm_control",
+}
+OTHER_LISTS = {
+    "goal_distance_m": [0.8, 1.1],
+    "extra_observations": ["roll"],
+    "actor_cells": [4],
+    "critic_cells": [4],
+    "rates": [0.7, 0.4, 0.1],
+    "thresholds": [0.3, 0.8],
+}
+MULTIPLES = {"num_worlds": 8, "frames_per_batch": 80}
+
+
+def another(name, value):
+    """A valid value of a field that differs from the one that it has."""
+    if name in OTHER_WORDS:
+        return OTHER_WORDS[name]
+    if name in OTHER_LISTS:
+        return OTHER_LISTS[name]
+    if name in MULTIPLES:
+        return MULTIPLES[name]
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return value + 1
+    return 0.5 if value is None else 0.5 * value + 0.05
+
+
+def shaping_fields(config):
+    for group in ("task", "algorithm", "network", "evolution"):
+        part = getattr(config, group)
+        for field in dataclasses.fields(part):
+            if field.name not in ("name", "enabled"):
+                yield group, field.name
+
+
+def test_everything_that_shapes_learning_is_in_the_key(tiny):
+    config = tiny()
+    keys = {run_key(config)}
+    fields = list(shaping_fields(config))
+    for group, name in fields:
+        part = getattr(config, group)
+        value = getattr(part, name)
+        changed = dataclasses.replace(part, **{name: another(name, value)})
+        keys.add(run_key(dataclasses.replace(config, **{group: changed})))
+    assert len(keys) == len(fields) + 1
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "seed=7",
+        "runs_dir=elsewhere",
+        "force=true",
+        "budget.agent_steps=7000",
+        "budget.total_steps=7000",
+        "budget.wall_s=7",
+        "evaluation.episodes=7",
+        "evaluation.seed=7",
+        "checkpoint.interval_s=7",
+        "checkpoint.keep=7",
+        "logger.tensorboard=true",
+        "logger.video_episodes=7",
+        "simulation.num_threads=7",
+    ],
+)
+def test_what_does_not_shape_learning_is_not_in_the_key(override, tiny):
+    assert run_key(tiny(override)) == run_key(tiny())
+
+
+def test_options_of_an_evolution_that_is_off_are_not_in_the_key(tiny):
+    off = "evolution.enabled=false"
+    assert run_key(tiny(off)) == run_key(tiny(off, "evolution.num_children=7"))
+    assert run_key(tiny(off)) != run_key(tiny())
+
+
+def test_the_path_names_the_run(tiny, tmp_path):
+    config = tiny("seed=3")
+    parts = RunDirectory.of(config).path.relative_to(tmp_path / "runs").parts
+    assert parts == ("gppo_water", "water", "gppo", run_key(config), "seed_3")
+    assert not (tmp_path / "runs").exists(), "asking creates nothing"
+
+
+def test_a_directory_in_use_is_refused_and_free_afterwards(tiny):
+    directory = RunDirectory.of(tiny())
+    with directory.locked():
+        with pytest.raises(RunDirectoryError, match="in use") as refused:
+            with RunDirectory(directory.path).locked():
+                pass
+        assert str(directory.path) in str(refused.value)
+    with directory.locked():
+        pass
+
+
+def test_a_failure_inside_frees_the_lock(tiny):
+    directory = RunDirectory.of(tiny())
+    with pytest.raises(ZeroDivisionError), directory.locked():
+        raise ZeroDivisionError
+    with directory.locked():
+        pass
+
+
+def test_a_damaged_file_is_named(tiny):
+    directory = RunDirectory.of(tiny())
+    with directory.locked():
+        directory.open(tiny())
+        (directory.path / "provenance.json").write_text('{"code": ')
+        with pytest.raises(RunDirectoryError, match=r"provenance\.json"):
+            directory.open(tiny())
+
+
+def test_files_are_written_whole(tiny):
+    directory = RunDirectory.of(tiny())
+    directory.path.mkdir(parents=True)
+    directory.write_json("a.json", {"x": 1})
+    with pytest.raises(TypeError):
+        directory.write_json("a.json", {"x": object()})
+    assert directory.read_json("a.json") == {"x": 1}
+    assert directory.read_json("b.json") is None
+
+
+def test_the_version_of_the_code_is_one_text():
+    assert code_version() == code_version()
+    assert "+" in code_version()
+
+
+# Metrics
+
+
+COLUMNS = ("agent_steps", "success_rate", "wall_s")
+
+
+@pytest.fixture
+def table(tmp_path):
+    return MetricsTable(tmp_path / "metrics.csv", COLUMNS)
+
+
+def lines(table):
+    return table.path.read_text().split()
+
+
+def test_rows_have_blanks_where_nothing_is_known(table):
+    table.append({"agent_steps": 10, "wall_s": 1.5})
+    table.append({"agent_steps": 20, "success_rate": None, "wall_s": 2.5})
+    assert lines(table) == ["agent_steps,success_rate,wall_s", "10,,1.5", "20,,2.5"]
+
+
+def test_a_table_goes_on_where_it_was(table):
+    table.append({"agent_steps": 10})
+    MetricsTable(table.path, COLUMNS).append({"agent_steps": 20})
+    assert lines(table)[1:] == ["10,,", "20,,"]
+
+
+def test_a_metric_without_a_column_is_refused_by_name(table):
+    with pytest.raises(ValueError, match="fuel"):
+        table.append({"agent_steps": 10, "fuel": 1.0})
+    assert len(lines(table)) == 1
+
+
+def test_rows_after_a_step_are_dropped(table):
+    for steps in (10, 20, 30):
+        table.append({"agent_steps": steps, "wall_s": steps / 10})
+    table.cut_after(20)
+    assert lines(table)[1:] == ["10,,1.0", "20,,2.0"]
+
+
+@given(kept=st.integers(0, 100), last=st.integers(100, 250))
+def test_a_last_row_that_was_cut_short_is_dropped(kept, last, tmp_path_factory):
+    path = tmp_path_factory.mktemp("table") / "metrics.csv"
+    table = MetricsTable(path, COLUMNS)
+    table.append({"agent_steps": 50, "success_rate": 0.5, "wall_s": 1.0})
+    whole = path.read_bytes()
+    # The process dies while it writes the row of a step that was never saved.
+    table.append({"agent_steps": last, "success_rate": 0.25, "wall_s": 2.125})
+    row = path.read_bytes()[len(whole) :]
+    path.write_bytes(whole + row[: kept * (len(row) - 2) // 100])
+    MetricsTable(path, COLUMNS).cut_after(99)
+    assert lines(table)[1:] == ["50,0.5,1.0"]
+
+
+def test_a_table_that_was_cut_in_its_header_begins_anew(table):
+    table.path.write_bytes(table.path.read_bytes()[:7])
+    again = MetricsTable(table.path, COLUMNS)
+    again.cut_after(0)
+    again.append({"agent_steps": 10})
+    assert lines(table) == ["agent_steps,success_rate,wall_s", "10,,"]
