@@ -7,10 +7,6 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from gdrl_tasks import make_task
-from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
-from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
@@ -22,6 +18,11 @@ from torchrl.modules import (
     QValueActor,
 )
 from torchrl.modules.models.models import DuelingMlpDQNet
+
+from gdrl_tasks import make_task
+from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
+from gdrl_torchrl.evolution.mutation import bernoulli_mutation
+from gdrl_torchrl.modules.actor import make_tanh_normal_actor
 
 CONTINUOUS = ("deterministic", "sequential", "tanh_normal")
 DISCRETE = ("q_value", "distributional")

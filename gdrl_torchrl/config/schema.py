@@ -115,6 +115,8 @@ class EvolutionConfig:
             check_choice(f"evolution.{name}", getattr(self, name), ("keep", "reset"))
         for rate in self.rates:
             check_range("evolution.rates", rate, least=0.0, most=1.0)
+        for threshold in self.thresholds:
+            check_range("evolution.thresholds", threshold, least=0.0, most=1.0)
         if len(self.rates) != len(self.thresholds) + 1:
             raise ValueError(
                 f"evolution.rates={self.rates} must have one entry more than "
@@ -217,7 +219,7 @@ class ExperimentConfig:
 
     def __post_init__(self) -> None:
         check_range("seed", self.seed, least=0)
-        if not self.name or "/" in self.name:
+        if self.name in ("", ".", "..") or "/" in self.name:
             raise ValueError(f"name={self.name!r} must be a folder's name")
 
     @property

@@ -79,7 +79,7 @@ class GeneticHook(TrainerHookBase):
         evaluator: PopulationEvaluator,
         *,
         num_children: int = 10,
-        period_episodes: int | None = 40,
+        period_episodes: int | None = 50,
         mutation: Mutation = bernoulli_mutation,
         std: float = 0.1,
         schedule: MutationSchedule | None = None,

@@ -217,11 +217,18 @@ class MetricsTable:
             csv.writer(file).writerow(["" if cell is None else cell for cell in cells])
 
     def cut_after(self, agent_steps: int) -> None:
-        """Drop the rows after a step: what a resumed run will write again."""
+        """Drop the rows after a step: what a resumed run will write again.
+
+        Raises:
+            RunDirectoryError: If a row has no number of steps.
+        """
         # A row that a kill cut short lacks the end of its line.
         text, end, _ = self.path.read_text().rpartition("\n")
         rows = csv.DictReader(io.StringIO(text + end))
-        kept = [row for row in rows if int(row["agent_steps"]) <= agent_steps]
+        try:
+            kept = [row for row in rows if int(row["agent_steps"]) <= agent_steps]
+        except (KeyError, TypeError, ValueError) as error:
+            raise RunDirectoryError(f"{self.path} is damaged: {error!r}") from error
         temporary = self.path.with_name(f".{self.path.name}.partial")
         with open(temporary, "w", newline="") as file:
             writer = csv.DictWriter(file, self.columns, extrasaction="ignore")

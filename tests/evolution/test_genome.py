@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
 from tensordict import TensorDict
 from torch import nn
 from torchrl.modules import MLP, NoisyLinear
+
+from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
 
 
 def names(genome):

@@ -6,10 +6,11 @@ import math
 
 import pytest
 import torch
-from gdrl_torchrl.evolution.mutation import MUTATIONS, standard_deviation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
+
+from gdrl_torchrl.evolution.mutation import MUTATIONS, standard_deviation
 
 SHAPES = st.dictionaries(
     st.sampled_from(["a", "b", "c"]),

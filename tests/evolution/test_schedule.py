@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
-from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
 
 
 @pytest.mark.parametrize(
@@ -19,9 +20,9 @@ def test_mutation_weakens_as_success_grows(success, mut_p):
 
 
 @given(
-    thresholds=st.lists(
-        st.floats(0.0, 1.0), min_size=0, max_size=4, unique=True
-    ).map(sorted),
+    thresholds=st.lists(st.floats(0.0, 1.0), min_size=0, max_size=4, unique=True).map(
+        sorted
+    ),
     success=st.floats(0.0, 1.0),
 )
 def test_a_rate_holds_from_its_threshold_on(thresholds, success):

@@ -410,4 +410,4 @@ def test_the_substep_is_fine_enough(sea, is_driven):
 @pytest.mark.slow
 def test_the_next_longer_substep_is_not_fine_enough():
     # The worst of the cases, with enough worlds for a close call.
-    assert substep_error(0.03125, "rough", False, num_worlds=256) > 0.02
+    assert substep_error(0.25 / 7, "rough", False, num_worlds=256) > 0.02

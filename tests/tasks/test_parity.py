@@ -102,7 +102,7 @@ def test_the_control_interval_does_not_change_a_free_drift(sea):
             num_worlds=8,
             num_threads=1,
             sea=sea,
-            control_interval_s=substeps * 0.025,
+            control_interval_s=substeps * 0.03125,
             step_limit=1000,
         )
         worlds.reset(seeds=seeds)

@@ -59,9 +59,7 @@ def test_a_signal_saves_and_the_same_command_goes_on(
     resumed = run_experiment(config)
     assert resumed == stop.value.path
     assert rows_of(resumed) == rows_of(whole)
-    assert (
-        evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
-    )
+    assert evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
@@ -86,9 +84,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     metrics.write_bytes(metrics.read_bytes()[:-9])
     resumed = run_experiment(config)
     assert rows_of(resumed) == rows_of(whole)
-    assert (
-        evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
-    )
+    assert evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
 
 
 def test_results_do_not_depend_on_threads_but_on_the_seed(
@@ -161,7 +157,9 @@ def test_a_run_without_evolution_has_no_population_steps(tiny, rows_of, evaluati
     path = run_experiment(tiny("experiment=ppo_water", "evolution=none"))
     record = evaluation_of(path)
     assert record["algorithm"] == "ppo"
-    assert (record["population_steps"], record["evaluations"], record["switches"]) == (0,) * 3
+    assert (record["population_steps"], record["evaluations"], record["switches"]) == (
+        0,
+    ) * 3
     assert record["agent_steps"] == record["total_steps"] == 120
     assert all(row["population_steps"] == "0" for row in rows_of(path))
     assert rows_of(path)[-1]["success_rate"] != ""

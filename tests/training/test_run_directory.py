@@ -54,7 +54,7 @@ def another(name, value):
         return not value
     if isinstance(value, int):
         return value + 1
-    return 0.5 if value is None else 0.5 * value + 0.05
+    return 0.5 if value is None else 0.5 * value + 0.03
 
 
 def shaping_fields(config):
@@ -115,9 +115,9 @@ def test_the_path_names_the_run(tiny, tmp_path):
 def test_a_directory_in_use_is_refused_and_free_afterwards(tiny):
     directory = RunDirectory.of(tiny())
     with directory.locked():
+        again = RunDirectory(directory.path).locked()
         with pytest.raises(RunDirectoryError, match="in use") as refused:
-            with RunDirectory(directory.path).locked():
-                pass
+            again.__enter__()
         assert str(directory.path) in str(refused.value)
     with directory.locked():
         pass
@@ -207,6 +207,12 @@ def test_a_last_row_that_was_cut_short_is_dropped(kept, last, tmp_path_factory):
     path.write_bytes(whole + row[: kept * (len(row) - 2) // 100])
     MetricsTable(path, COLUMNS).cut_after(99)
     assert lines(table)[1:] == ["50,0.5,1.0"]
+
+
+def test_a_damaged_table_is_named(table):
+    table.path.write_text("agent_steps,wall_s\nten,1.0\n")
+    with pytest.raises(RunDirectoryError, match=r"metrics\.csv is damaged"):
+        table.cut_after(10)
 
 
 def test_a_table_that_was_cut_in_its_header_begins_anew(table):

@@ -5,16 +5,9 @@ from __future__ import annotations
 import math
 from functools import partial
 
-import gdrl_tasks
 import numpy as np
 import pytest
 import torch
-from gdrl_tasks import Outcome, Stream
-from gdrl_tasks.seeds import stream_of
-from gdrl_torchrl.envs.make import make_env
-from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.selection import rank_scores, select_best
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
@@ -26,6 +19,14 @@ from torchrl.testing.mocking_classes import (
     CountingBatchedEnv,
     DiscreteActionVecMockEnv,
 )
+
+import gdrl_tasks
+from gdrl_tasks import Outcome, Stream
+from gdrl_tasks.seeds import stream_of
+from gdrl_torchrl.envs.make import make_env
+from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.evolution.selection import rank_scores, select_best
+from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 
 @pytest.fixture
@@ -377,7 +378,9 @@ def test_a_member_that_breaks_in_its_last_trial_only_has_no_fitness(
         actor, num_episodes=3, create_env_fn=lambda: CountdownEnv(2), max_steps=4
     )
     params = TensorDict({("module", "weight"): torch.ones(1, 1)}, batch_size=[1])
-    assert not math.isnan(evaluator.evaluate(params, seeds=torch.tensor([1, 2, 4]))["fitness"])
+    assert not math.isnan(
+        evaluator.evaluate(params, seeds=torch.tensor([1, 2, 4]))["fitness"]
+    )
     assert math.isnan(evaluator.evaluate(params, seeds=torch.tensor([1, 2, 3]))["fitness"])
 
 
@@ -519,7 +522,7 @@ def test_mock_worlds_with_continuous_actions(worlds, actor_of, population_of):
     assert result.batch_size == torch.Size([3])
     assert result["steps"].shape == (3, 2)
     assert not result["successes"].any(), "an environment without success has none"
-    assert "outcomes" not in result.keys()
+    assert "outcomes" not in set(result.keys())
 
 
 @pytest.mark.parametrize("kind", ["q_value", "distributional"])
@@ -575,7 +578,9 @@ def test_a_batch_of_gymnasium_environments_gives_every_member_the_same_episodes(
     actor_of, population_of
 ):
     def env():
-        return SerialEnv(6, partial(GymEnv, "CartPole-v1", categorical_action_encoding=True))
+        return SerialEnv(
+            6, partial(GymEnv, "CartPole-v1", categorical_action_encoding=True)
+        )
 
     spec = GymEnv("CartPole-v1", categorical_action_encoding=True).action_spec
     actor = actor_of("q_value", 4, spec)
@@ -650,9 +655,7 @@ def test_members_without_episodes_are_refused(actor_of, population_of, evaluator
     actor = actor_of("tanh_normal")
     evaluator = evaluator_for(actor, 2, num_episodes=1)
     with pytest.raises(ValueError, match="seeds"):
-        evaluator.evaluate(
-            population_of(actor, 2), seeds=torch.zeros(0, dtype=torch.int64)
-        )
+        evaluator.evaluate(population_of(actor, 2), seeds=torch.zeros(0, dtype=torch.int64))
 
 
 def test_evaluation_takes_numpy_seeds_as_well(actor_of, population_of, evaluator_for):

@@ -6,8 +6,6 @@ from functools import partial
 
 import pytest
 import torch
-from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
@@ -22,6 +20,9 @@ from torchrl.envs import (
 )
 from torchrl.envs.utils import check_env_specs, step_mdp
 from torchrl.testing.mocking_classes import ContinuousActionVecMockEnv
+
+from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 SCORES = {"fitness", "success_rate", "return_mean", "frames", "successes", "returns"}
 EPISODES = 2
@@ -56,9 +57,7 @@ def water_population(water_actor, population_of):
 
 
 def evaluator_of(actor, **options):
-    return PopulationEvaluator(
-        actor, num_episodes=EPISODES, max_steps=MAX_STEPS, **options
-    )
+    return PopulationEvaluator(actor, num_episodes=EPISODES, max_steps=MAX_STEPS, **options)
 
 
 def transformed_mock(actor):
@@ -85,9 +84,7 @@ def test_parallel_trans_env_check(mock_actor):
 
 
 def test_trans_serial_env_check(mock_actor, mock_population):
-    env = TransformedEnv(
-        SerialEnv(2, ContinuousActionVecMockEnv), evaluator_of(mock_actor)
-    )
+    env = TransformedEnv(SerialEnv(2, ContinuousActionVecMockEnv), evaluator_of(mock_actor))
     check_env_specs(env)
     assert env.transform.evaluate(mock_population)["returns"].shape == (3, EPISODES)
     env.close()
@@ -167,9 +164,7 @@ def test_transform_model(water, water_actor, water_population):
 @pytest.mark.parametrize("buffer_class", [ReplayBuffer, TensorDictReplayBuffer])
 def test_transform_rb(buffer_class, water, water_actor, water_population):
     def buffer(evaluator):
-        return buffer_class(
-            storage=LazyTensorStorage(5), transform=evaluator, batch_size=4
-        )
+        return buffer_class(storage=LazyTensorStorage(5), transform=evaluator, batch_size=4)
 
     archive = TensorDict({"params": water_population}, batch_size=[3])
     with_env = buffer(evaluator_of(water_actor, create_env_fn=lambda: water))
@@ -191,9 +186,7 @@ def test_transform_rb(buffer_class, water, water_actor, water_population):
 def test_transform_inverse(water, water_actor, water_population):
     archive = TensorDict({"params": water_population}, batch_size=[3])
     for inverse in (True, False):
-        evaluator = evaluator_of(
-            water_actor, create_env_fn=lambda: water, inverse=inverse
-        )
+        evaluator = evaluator_of(water_actor, create_env_fn=lambda: water, inverse=inverse)
         buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(5), batch_size=3)
         buffer.append_transform(evaluator, invert=False)
         buffer.extend(archive.clone())

@@ -100,9 +100,12 @@ def hull_wrench(
     amplitude, frequency = sea["amplitude"], sea["omega"]
     speed = amplitude * frequency * sea["decay"]
     wavenumber = xp.hypot(kx, ky)
-    surface = _sum_components(xp, amplitude, cosine)
-    slope_x = -_sum_components(xp, amplitude * kx, sine)
-    slope_y = -_sum_components(xp, amplitude * ky, sine)
+    # Wave pressure decays with depth (Smith effect): it carries the hull at keel depth,
+    # decay squared, and pushes its sides with the mean over the draft, about decay.
+    decay = sea["decay"]
+    surface = _sum_components(xp, amplitude * decay * decay, cosine)
+    slope_x = -_sum_components(xp, amplitude * decay * kx, sine)
+    slope_y = -_sum_components(xp, amplitude * decay * ky, sine)
     rise = _sum_components(xp, speed, sine)
     rise_rate = -_sum_components(xp, speed * frequency, cosine)
     mean = lambda weight, wave: xp.mean(_sum_components(xp, weight, wave), axis=-1)  # noqa: E731

@@ -143,7 +143,9 @@ def substep(
                 continue
             kx, ky = numbers_x[world, c], numbers_y[world, c]
             omega = omegas[world, c]
-            speed = amplitude * omega * decays[world, c]
+            pushing = amplitude * decays[world, c]
+            lifting = pushing * decays[world, c]
+            speed = pushing * omega
             along = spacing * (kx * rotation[0, 0] + ky * rotation[1, 0])
             step_cos, step_sin = math.cos(along), math.sin(along)
             cos_sum, sin_sum = 0.0, 0.0
@@ -167,9 +169,9 @@ def substep(
                 )
                 cosine, sine = math.cos(phase), math.sin(phase)
                 for i in range(first, first + stations):
-                    surface[i] += amplitude * cosine
-                    slope_x[i] -= amplitude * kx * sine
-                    slope_y[i] -= amplitude * ky * sine
+                    surface[i] += lifting * cosine
+                    slope_x[i] -= pushing * kx * sine
+                    slope_y[i] -= pushing * ky * sine
                     rise[i] += speed * sine
                     rise_rate[i] -= speed * omega * cosine
                     cos_sum += cosine

@@ -66,7 +66,7 @@ class WaterOptions:
     extra_observations: tuple[str, ...] = ()
     """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
     control_interval_s: float = 0.25
-    substep_s: float = 0.025
+    substep_s: float = 0.03125
     step_limit: int = 160
     wave_components: int = 12
 
@@ -134,7 +134,7 @@ class WaterTask(NavigationTask):
     Examples:
         >>> task = WaterTask(WaterOptions(sea="calm"))
         >>> task.spec.observation_size, task.spec.num_substeps
-        (3, 10)
+        (3, 8)
     """
 
     name = "water"
@@ -233,11 +233,17 @@ class WaterTask(NavigationTask):
             "peak_period": period,
             "wave_direction": direction,
         }
-        surface = float(np.sum(sea["amplitude"] * np.cos(sea["phase"])))
-        qpos = np.zeros(7)
-        qpos[2] = surface + self.rest_height_m
+        qpos, qvel = np.zeros(7), np.zeros(6)
+        pushing = sea["amplitude"] * sea["decay"]
+        cosine, sine = np.cos(sea["phase"]), np.sin(sea["phase"])
+        qpos[2] = self.rest_height_m + np.sum(pushing * sea["decay"] * cosine)
         qpos[3], qpos[6] = math.cos(0.5 * heading), math.sin(0.5 * heading)
-        return Episode(qpos=qpos, qvel=np.zeros(6), arrays=arrays)
+        # At rest in the water, that is, moving with it.
+        along = pushing * sea["omega"] / np.hypot(sea["wavenumber_x"], sea["wavenumber_y"])
+        qvel[0] = arrays["current"][0] + np.sum(along * sea["wavenumber_x"] * cosine)
+        qvel[1] = arrays["current"][1] + np.sum(along * sea["wavenumber_y"] * cosine)
+        qvel[2] = np.sum(pushing * sea["omega"] * sine)
+        return Episode(qpos=qpos, qvel=qvel, arrays=arrays)
 
     def _draw_sea_state(self, generator: np.random.Generator) -> tuple[float, float]:
         preset = self._sea

@@ -1,0 +1,393 @@
+"""The TorchRL environments of a task, on both backends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torchrl.collectors import Collector
+from torchrl.envs.utils import check_env_specs
+
+from gdrl_tasks import Outcome, Stream, make_task
+from gdrl_tasks.controllers import pursuit
+from gdrl_tasks.seeds import stream_of
+from gdrl_torchrl.envs.make import make_env
+from gdrl_torchrl.envs.navigation import NavigationEnv
+
+WAVES = {"sea": "lake", "step_limit": 12}
+RECORD = {
+    "success",
+    "outcome",
+    "episode_seed",
+    "episode_return",
+    "path_length",
+    "shortest_path",
+}
+
+
+@pytest.fixture
+def env_of():
+    """Makes environments, and closes them at the end."""
+    made = []
+
+    def make(worlds=4, *, backend="batch", seed=0, **options):
+        task = make_task("water", **WAVES | options)
+        made.append(make_env(task, worlds, backend=backend, num_threads=1, seed=seed))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close(raise_if_closed=False)
+
+
+def random_steps(env, count, *, seed=0):
+    """Steps with actions of a generator of its own, from where the environment is."""
+    generator = torch.Generator().manual_seed(seed)
+    shape = (count, *env.action_spec.shape)
+    return (2 * torch.rand(shape, generator=generator) - 1).unbind(0)
+
+
+def walk(env, start, actions):
+    state, rows = start, []
+    for action in actions:
+        state = env.step(state.set("action", action))
+        rows.append(state["next"].clone())
+        state = state["next"].clone()
+    return torch.stack(rows)
+
+
+# Specs
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"actions": "discrete"},
+        {"extra_observations": ("velocity", "roll", "time_left"), "reward": "dense"},
+        {"at_limit": "truncated", "step_limit": 2},
+    ],
+    ids=["default", "discrete", "extras", "truncated"],
+)
+def test_specs_hold(backend, options, env_of):
+    env = env_of(2, backend=backend, **options)
+    assert env.batch_size == torch.Size([2])
+    check_env_specs(env, break_when_any_done="both")
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_everything_is_float32_and_every_record_is_there(backend, env_of):
+    env = env_of(2, backend=backend)
+    path = env.rollout(2)
+    for key in path.keys(True, True):
+        if path[key].dtype.is_floating_point:
+            assert path[key].dtype == torch.float32, key
+    assert set(path["next"].keys()) >= RECORD | {"observation", "reward", "done"}
+    assert path["observation"].shape == (2, 2, 3)
+    assert path["next", "reward"].shape == (2, 2, 1)
+
+
+def test_both_backends_play_the_same_episode(env_of):
+    seeds = torch.tensor([4, 5])
+    batch, suite = env_of(2), env_of(2, backend="dm_control")
+    paths = [
+        walk(env, start, random_steps(env, 10))
+        for env, start in (
+            (batch, batch.reset(episode_seed=seeds)),
+            (suite, suite.reset(list_of_kwargs=[{"episode_seed": int(s)} for s in seeds])),
+        )
+    ]
+    for key in RECORD | {"observation", "reward", "done", "terminated", "truncated"}:
+        mine, other = (path[key].double() for path in paths)
+        assert torch.allclose(mine, other, atol=1e-6), key
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"worlds": 0}, "num_worlds=0"),
+        ({"worlds": -2}, "num_worlds=-2"),
+        ({"backend": "gpu"}, "backend='gpu'"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message, env_of):
+    with pytest.raises(ValueError, match=message):
+        env_of(**arguments)
+
+
+# Masks
+
+
+def test_a_partial_reset_begins_episodes_in_those_worlds_only(env_of):
+    env = env_of(4)
+    state = walk(env, env.reset(), random_steps(env, 3))[-1]
+    mask = torch.tensor([False, True, False, True])
+    again = env.reset(state.clone().set("_reset", mask[:, None]))
+    kept = ~mask
+    for key in ("observation", "episode_number", "episode_seed", "episode_steps"):
+        assert (again[key][kept] == state[key][kept]).all(), key
+        assert (again[key][mask] != state[key][mask]).any(), key
+    assert (again["episode_steps"][mask] == 0).all()
+    assert again["episode_number"][mask, 0].tolist() == [4, 5]
+    following = env.step(again.set("action", env.action_spec.zero()))["next"]
+    assert following["episode_steps"][:, 0].tolist() == [4, 1, 4, 1]
+
+
+def test_frozen_worlds_stay_bit_by_bit_and_the_others_do_not_notice(env_of):
+    seeds = torch.arange(4)
+    free, held = env_of(4), env_of(4)
+    actions = random_steps(free, 6)
+    whole = walk(free, free.reset(episode_seed=seeds), actions)
+    mask = torch.tensor([True, False, True, False])
+    state = held.reset(episode_seed=seeds)
+    state = held.step(state.set("action", actions[0]))["next"].clone()
+    before, start = held.get_state(), state.clone()
+    for action in actions[1:]:
+        state.set("action", action).set("_step", mask)
+        state = held.step(state)["next"].clone()
+    after = held.get_state()
+    for name, value in before.items():
+        if value.shape[:1] == mask.shape:
+            assert torch.equal(after[name][~mask], value[~mask]), name
+    for key in ("observation", "episode_steps", "episode_return"):
+        assert (state[key][~mask] == start[key][~mask]).all(), key
+        assert (state[key][mask] == whole[-1][key][mask]).all(), key
+    assert not state["done"][~mask].any()
+
+
+def test_frozen_worlds_are_not_stepped(env_of, monkeypatch):
+    env = env_of(4)
+    state = env.reset()
+    asked = []
+    step = env.simulation.step
+
+    def counted(action, ids=None):
+        asked.append(4 if ids is None else len(ids))
+        return step(action, ids)
+
+    monkeypatch.setattr(env.simulation, "step", counted)
+    action = env.action_spec.rand()
+    env.step(state.clone().set("action", action))
+    mask = torch.tensor([False, True, False, False])
+    env.step(state.clone().set("action", action).set("_step", mask))
+    assert asked == [4, 1]
+
+
+def test_a_world_that_has_ended_stays_done_while_it_is_frozen(env_of):
+    env = env_of(3, step_limit=2)
+    state = walk(env, env.reset(), random_steps(env, 1))[-1]
+    mask = torch.tensor([True, False, True])
+    state = env.step(state.set("action", env.action_spec.zero()).set("_step", mask))["next"]
+    assert state["done"][:, 0].tolist() == [True, False, True]
+    mask = ~mask
+    state = env.step(
+        state.clone().set("action", env.action_spec.zero()).set("_step", mask)
+    )["next"]
+    assert state["done"].all()
+    assert state["terminated"].all()
+    assert state["reward"][:, 0].tolist() == [0.0, -1.0, 0.0]
+
+
+# Episodes
+
+
+def test_the_same_seeds_are_the_same_episodes(env_of):
+    seeds = torch.tensor([7, 8, 7, 9])
+    paths = []
+    for env in (env_of(4, seed=0), env_of(4, seed=5)):
+        start = env.reset(episode_seed=seeds)
+        assert start["episode_seed"][:, 0].tolist() == seeds.tolist()
+        assert (start["observation"][0] == start["observation"][2]).all()
+        assert (start["observation"][0] != start["observation"][1]).any()
+        paths.append(walk(env, start, random_steps(env, 8)))
+    for key in ("observation", "reward", "done", "path_length"):
+        assert (paths[0][key] == paths[1][key]).all(), key
+
+
+def test_seeds_can_be_given_to_a_partial_reset(env_of):
+    env = env_of(3)
+    state = env.reset(episode_seed=torch.tensor([1, 2, 3]))
+    mask = torch.tensor([[False], [True], [False]])
+    again = env.reset(
+        state.clone().set("_reset", mask), episode_seed=torch.tensor([7, 8, 9])
+    )
+    assert again["episode_seed"][:, 0].tolist() == [1, 8, 3]
+
+
+def test_episodes_that_are_not_chosen_are_of_the_training_stream(env_of):
+    env = env_of(4)
+    first, second = (env.reset()["episode_seed"][:, 0] for _ in range(2))
+    assert (stream_of(first.numpy()) == Stream.TRAINING).all()
+    assert len(set(first.tolist()) | set(second.tolist())) == 8
+    env.set_seed(3)
+    third = env.reset()["episode_seed"]
+    env.set_seed(3)
+    assert (env.reset()["episode_seed"] == third).all()
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+@pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
+def test_the_step_limit_terminates_or_truncates(at_limit, backend, env_of):
+    env = env_of(2, backend=backend, at_limit=at_limit, step_limit=3)
+    path = env.rollout(5, lambda td: td.set("action", env.action_spec.zero()))
+    assert path.shape == (2, 3)
+    final = path["next"][:, -1]
+    assert (final["outcome"] == Outcome.TIMEOUT).all()
+    assert final["terminated"].all() == (at_limit == "terminated")
+    assert final["truncated"].all() == (at_limit == "truncated")
+    assert final["done"].all()
+    assert not path["next", "done"][:, :-1].any()
+    penalty = -1.0 if at_limit == "terminated" else 0.0
+    assert (final["reward"] == penalty).all()
+    assert not final["success"].any()
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_reaching_the_goal_terminates_with_success(backend, env_of):
+    env = env_of(2, backend=backend, sea="calm", step_limit=160)
+
+    def steer(td):
+        action = pursuit(td["observation"].double().numpy())
+        return td.set("action", torch.from_numpy(action).float())
+
+    path = env.rollout(160, steer, break_when_any_done=False, break_when_all_done=True)
+    final = path["next"][:, -1]
+    assert final["success"].all()
+    assert (final["outcome"] == Outcome.SUCCESS).all()
+    assert final["terminated"].all()
+    assert (final["episode_return"] == 1.0).all()
+    assert (final["path_length"] > 0.9 * final["shortest_path"]).all()
+
+
+def test_records_are_of_the_episode_so_far(env_of):
+    env = env_of(3, reward="dense")
+    path = walk(env, env.reset(), random_steps(env, 5))
+    total = path["reward"].cumsum(dim=0)
+    assert torch.allclose(path["episode_return"], total, atol=1e-5)
+    assert (path["path_length"].diff(dim=0) >= 0).all()
+    assert (path["shortest_path"] == path["shortest_path"][:1]).all()
+    left = path["time_left"][:, 0, 0].tolist()
+    assert left == pytest.approx([1.0 - (n + 1) / 12 for n in range(5)])
+
+
+# State
+
+
+def test_a_restored_state_goes_on_bit_by_bit(env_of):
+    first, second = env_of(3), env_of(3, seed=9)
+    state = walk(first, first.reset(), random_steps(first, 4))[-1]
+    saved = {name: value.clone() for name, value in first.get_state().items()}
+    second.set_state(saved)
+    resumed = second.reset()
+    for key in ("observation", "episode_number", "episode_steps", "time_left"):
+        assert (resumed[key] == state[key]).all(), key
+    actions = random_steps(first, 30, seed=1)
+
+    def go_on(env, state):
+        rows = []
+        for action in actions:
+            moved, state = env.step_and_maybe_reset(state.set("action", action))
+            rows.append(moved["next"].clone())
+        return torch.stack(rows)
+
+    mine, other = go_on(second, resumed), go_on(first, state.clone())
+    assert other["done"].any(), "new episodes must begin on the way"
+    for key in other.keys(True, True):
+        assert (mine[key] == other[key]).all(), key
+
+
+def test_a_state_of_other_worlds_is_refused(env_of):
+    with pytest.raises(ValueError, match="shape"):
+        env_of(3).set_state(env_of(2).get_state())
+
+
+def test_the_reset_after_the_resumed_one_begins_new_episodes(env_of):
+    env = env_of(2)
+    env.reset()
+    env.set_state(env.get_state())
+    assert env.reset()["episode_number"][:, 0].tolist() == [0, 1]
+    assert env.reset()["episode_number"][:, 0].tolist() == [2, 3]
+
+
+@pytest.mark.parametrize("step_limit", [10, 12])
+def test_a_collector_goes_on_bit_by_bit_from_a_restored_state(step_limit, env_of, actor_of):
+    actor = actor_of("tanh_normal")
+
+    def collect(env, batches):
+        collector = Collector(
+            env,
+            actor,
+            frames_per_batch=30,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
+        iterator = iter(collector)
+        return [next(iterator).clone() for _ in range(batches)], collector
+
+    # Episodes of ten steps end with the batch: the state is that of new episodes.
+    env = env_of(3, step_limit=step_limit)
+    torch.manual_seed(5)
+    _, collector = collect(env, 2)
+    saved, generator = env.get_state(), torch.get_rng_state()
+    expected = next(iter(collector)).clone()
+    collector.shutdown()
+
+    other = env_of(3, seed=4, step_limit=step_limit)
+    other.set_state(saved)
+    torch.set_rng_state(generator)
+    (batch,), collector = collect(other, 1)
+    collector.shutdown()
+    for key in batch.exclude("collector").keys(True, True):
+        assert (batch[key] == expected[key]).all(), key
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_a_collector_gets_whole_batches_across_episodes(backend, env_of, actor_of):
+    env = env_of(2, backend=backend, step_limit=4)
+    collector = Collector(
+        env,
+        actor_of("tanh_normal"),
+        frames_per_batch=20,
+        total_frames=40,
+        auto_register_policy_transforms=False,
+    )
+    batches = [batch.clone() for batch in collector]
+    collector.shutdown()
+    assert [batch.shape for batch in batches] == [torch.Size([2, 10])] * 2
+    path = torch.cat(batches, dim=1)
+    done = path["next", "done"][..., 0]
+    assert done[:, 3::4].all()
+    running = ~done[:, :-1]
+    following, root = path["next", "observation"][:, :-1], path["observation"][:, 1:]
+    assert (following[running] == root[running]).all()
+    seeds = path["episode_seed"][..., 0]
+    assert (seeds[:, 0] != seeds[:, 4]).all(), "a new episode after the end"
+    assert (seeds[:, 0] == seeds[:, 3]).all()
+
+
+def test_actions_with_gradients_are_taken(env_of, actor_of):
+    env = env_of(2)
+    path = env.rollout(2, actor_of("tanh_normal"))
+    assert path["next", "reward"].shape == (2, 2, 1)
+
+
+def test_a_world_whose_action_is_not_a_number_diverges_alone(env_of):
+    env = env_of(3)
+    action = env.action_spec.zero()
+    action[1] = float("nan")
+    following = env.step(env.reset().set("action", action))["next"]
+    assert following["outcome"][:, 0].tolist() == [
+        Outcome.RUNNING,
+        Outcome.DIVERGED,
+        Outcome.RUNNING,
+    ]
+    assert following["terminated"][:, 0].tolist() == [False, True, False]
+    assert np.isfinite(following["observation"].numpy()).all()
+
+
+def test_a_closed_environment_can_be_closed_again():
+    env = NavigationEnv(make_task("water", **WAVES), 2, num_threads=2)
+    env.close()
+    env.close(raise_if_closed=False)
+    assert env.is_closed
