@@ -46,8 +46,11 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         raise ValueError(f"run={run} is not a run directory: it has no config.json")
     saved = json.loads((run / "config.json").read_text())
     settings = saved["evaluation"] | {
-        name: int(values[name]) for name in ("episodes", "seed") if name in values
+        name: _whole_number(name, values[name])
+        for name in ("episodes", "seed")
+        if name in values
     }
+    evaluation = EvaluationConfig(**settings)
     # torch takes seconds to import: arguments are checked before.
     from gdrl_torchrl.config.task import make_task_from_config
     from gdrl_torchrl.training.build import make_actor
@@ -55,9 +58,15 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
 
     task_config = merge_task(saved["task"], overrides)
     task = make_task_from_config(task_config)
+    trained = make_task_from_config(merge_task(saved["task"], [])).spec
+    for name in ("observation", "action_size", "is_discrete"):
+        if getattr(task.spec, name) != getattr(trained, name):
+            raise ValueError(
+                f"task.{' task.'.join(overrides)}: the policy was trained with "
+                f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
+            )
     actor = make_actor(task, NetworkConfig(**saved["network"]))
     load_policy(run / "final", actor)
-    evaluation = EvaluationConfig(**settings)
     scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
     return {
         "task": task.name,
@@ -67,6 +76,13 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         **scores,
         "params_sha256": params_sha256(actor),
     }
+
+
+def _whole_number(name: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"{name}={text!r} must be a whole number") from None
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ def _train(config: DictConfig) -> None:
     except ValueError as error:
         sys.exit(f"error: {error}")
     # TorchRL reports on standard output, whose last line is ours.
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    for name in ("torchrl", "absl", "OpenGL"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     # Imported here so that --help and mistakes are answered at once.
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError

@@ -69,13 +69,8 @@ def build_training(config: ExperimentConfig) -> Training:
     Raises:
         ValueError: If task and algorithm do not fit, or an option is out of range.
     """
-    task = make_task_from_config(config.task)
+    task = make_task_of(config)
     algorithm, network = config.algorithm, config.network
-    if task.spec.is_discrete:
-        raise ValueError(
-            f"algorithm.name={algorithm.name!r} needs continuous actions: choose "
-            "task.actions=continuous"
-        )
     env = make_env(
         task,
         algorithm.num_worlds,
@@ -132,6 +127,21 @@ def build_training(config: ExperimentConfig) -> Training:
     return Training(
         task, env, actor, loss, optimizer, collector, buffer, trainer, genetic
     )
+
+
+def make_task_of(config: ExperimentConfig) -> NavigationTask:
+    """The task of a run.
+
+    Raises:
+        ValueError: If task and algorithm do not fit, or an option is out of range.
+    """
+    task = make_task_from_config(config.task)
+    if task.spec.is_discrete:
+        raise ValueError(
+            f"task.actions={config.task.actions!r}: "
+            f"algorithm.name={config.algorithm.name!r} needs continuous ones"
+        )
+    return task
 
 
 def make_actor(task: NavigationTask, network: NetworkConfig) -> ProbabilisticActor:

@@ -13,7 +13,7 @@ from torchrl.record.loggers import Logger
 
 from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
 from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.training.build import Training, build_training
+from gdrl_torchrl.training.build import Training, build_training, make_task_of
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
@@ -66,6 +66,8 @@ def run_experiment(config: ExperimentConfig) -> Path:
         RunDirectoryError: If the directory cannot be used.
         InterruptedRunError: If a signal stopped training.
     """
+    # What is wrong is said before anything is written.
+    make_task_of(config)
     directory = RunDirectory.of(config)
     with directory.locked():
         if _is_complete(directory, config):

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import ctypes.util
+import importlib.util
 import os
 import sys
+from pathlib import Path
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+
+# Mesa's software driver and Triton (which tensordict loads) each carry an LLVM, and the
+# process survives only if Triton's comes first. Loading it needs no torch.
+_triton = importlib.util.find_spec("triton")
+if _triton is not None and _triton.origin is not None and "triton" not in sys.modules:
+    with contextlib.suppress(OSError):
+        ctypes.CDLL(str(Path(_triton.origin).with_name("_C") / "libtriton.so"))
 
 # Without a display dm_control would still choose GLFW, whose first frame then fails.
 if sys.platform == "linux" and not os.environ.get("DISPLAY"):

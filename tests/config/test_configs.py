@@ -7,6 +7,7 @@ import inspect
 from importlib import resources
 
 import pytest
+from hydra.errors import HydraException
 
 from gdrl_tasks import make_task, task_names
 from gdrl_torchrl.cli.compose import load_experiment, merge_task
@@ -62,11 +63,14 @@ WORDS = [
 ]
 
 
+def compose_and_make_task(overrides):
+    make_task_from_config(load_experiment(overrides).task)
+
+
 def refusal(*overrides):
     """What is said about bad overrides, before anything is built."""
-    with pytest.raises(Exception) as refused:
-        config = load_experiment(list(overrides))
-        make_task_from_config(config.task)
+    with pytest.raises((ValueError, HydraException)) as refused:
+        compose_and_make_task(list(overrides))
     return str(refused.value)
 
 

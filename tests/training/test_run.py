@@ -153,6 +153,20 @@ def test_a_run_of_another_version_of_the_code_needs_force(
     assert rows_of(path)[-1]["agent_steps"] == str(steps)
 
 
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("task.step_limit=0", "step_limit=0"),
+        ("task.backend=gpu", r"task\.backend='gpu'"),
+        ("task.actions=discrete", r"task\.actions='discrete'.*algorithm\.name='ppo'"),
+    ],
+)
+def test_a_task_that_does_not_work_leaves_no_directory(override, message, tiny, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        run_experiment(tiny(override))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_run_without_evolution_has_no_population_steps(tiny, rows_of, evaluation_of):
     path = run_experiment(tiny("experiment=ppo_water", "evolution=none"))
     record = evaluation_of(path)
