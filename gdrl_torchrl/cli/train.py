@@ -17,13 +17,14 @@ def _train(config: DictConfig) -> None:
         experiment = to_experiment(config)
     except ValueError as error:
         sys.exit(f"error: {error}")
-    # TorchRL reports on standard output, whose last line is ours.
-    for name in ("torchrl", "absl", "OpenGL"):
-        logging.getLogger(name).setLevel(logging.WARNING)
     # Imported here so that --help and mistakes are answered at once.
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError
 
+    # TorchRL reports on standard output, which is ours. Only now: importing it sets a
+    # level of its own.
+    for name in ("torchrl", "absl", "OpenGL"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     try:
         print(run_experiment(experiment))
     except InterruptedRunError as stop:

@@ -124,9 +124,7 @@ def build_training(config: ExperimentConfig) -> Training:
         config, task, actor=actor, critic=critic, optimizer=optimizer
     )
     genetic.register(trainer)
-    return Training(
-        task, env, actor, loss, optimizer, collector, buffer, trainer, genetic
-    )
+    return Training(task, env, actor, loss, optimizer, collector, buffer, trainer, genetic)
 
 
 def make_task_of(config: ExperimentConfig) -> NavigationTask:

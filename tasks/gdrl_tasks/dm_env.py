@@ -8,9 +8,9 @@ import ctypes.util
 import importlib.util
 import os
 import sys
-from pathlib import Path
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
