@@ -44,7 +44,10 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     run = Path(values["run"])
     if not (run / "config.json").exists():
         raise ValueError(f"run={run} is not a run directory: it has no config.json")
-    saved = json.loads((run / "config.json").read_text())
+    try:
+        saved = json.loads((run / "config.json").read_text())
+    except ValueError as error:
+        raise ValueError(f"{run / 'config.json'} is not valid JSON: {error}") from error
     settings = saved["evaluation"] | {
         name: _whole_number(name, values[name])
         for name in ("episodes", "seed")

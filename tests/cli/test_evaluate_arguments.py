@@ -1,0 +1,71 @@
+"""Arguments of ``gdrl-evaluate`` are checked, and their errors name them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.cli.evaluate import evaluate_run
+from gdrl_torchrl.config.task import make_task_from_config
+from gdrl_torchrl.training.build import make_actor
+from gdrl_torchrl.training.evaluate import save_policy
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """As much of a run directory as an evaluation reads."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("run")
+    config = load_experiment(
+        ["task.step_limit=4", "evaluation.episodes=3", "evaluation.num_worlds=2"]
+    )
+    (path / "config.json").write_text(json.dumps(dataclasses.asdict(config)))
+    task = make_task_from_config(config.task)
+    save_policy(path / "final", make_actor(task, config.network), task, config)
+    return path
+
+
+def test_task_and_episodes_can_be_others(run):
+    result = evaluate_run(
+        [f"run={run}", "episodes=5", "seed=2", "task.sea=rough", "task.step_limit=6"]
+    )
+    assert result["overrides"] == ["task.sea=rough", "task.step_limit=6"]
+    assert (result["episodes"], result["seed"]) == (5, 2)
+    assert result["steps_mean"] == 6.0
+    assert evaluate_run([f"run={run}"])["steps_mean"] == 4.0
+
+
+def test_a_damaged_configuration_is_named(tmp_path):
+    (tmp_path / "config.json").write_text('{"task": ')
+    with pytest.raises(ValueError, match=r"config\.json"):
+        evaluate_run([f"run={tmp_path}"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "usage"),
+        (["episodes=3"], "usage"),
+        (["run={path}", "fuel=1"], "fuel=1"),
+        (["run={path}", "episodes"], "episodes"),
+        (["run={path}", "episodes=0"], "episodes=0"),
+        (["run={path}", "episodes=-2"], "episodes=-2"),
+        (["run={path}", "episodes=many"], "episodes='many'"),
+        (["run={path}", "seed=-1"], "seed=-1"),
+        (["run={path}", "seed=1.5"], "seed='1.5'"),
+        (["run={path}", "task.sea=stormy"], "sea='stormy'"),
+        (["run={path}", "task.fuel=1"], "fuel"),
+        (["run={path}", "task.step_limit=many"], "step_limit"),
+        (["run={path}", "task.actions=discrete"], "actions"),
+        (["run={path}", "task.extra_observations=[roll]"], "extra_observations"),
+        (["run=elsewhere"], "run=elsewhere"),
+    ],
+)
+def test_bad_arguments_of_an_evaluation_are_named(arguments, said, run):
+    with pytest.raises(ValueError, match=r".") as refused:
+        evaluate_run([argument.format(path=run) for argument in arguments])
+    assert said in str(refused.value)
