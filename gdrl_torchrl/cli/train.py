@@ -17,7 +17,7 @@ def _train(config: DictConfig) -> None:
         experiment = to_experiment(config)
     except ValueError as error:
         sys.exit(f"error: {error}")
-    # Imported here so that --help and mistakes are answered at once.
+    # Imported here so that --help is answered without them.
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError
 

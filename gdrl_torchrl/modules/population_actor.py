@@ -36,6 +36,10 @@ class PopulationActor:
         self.actor = actor
         self._prefix, self._heads = _split(actor)
         self.in_keys = list(self._prefix.in_keys)
+        parameters = (tuple(n.split(".")) for n, _ in self._prefix.named_parameters())
+        self._names = {path if len(path) > 1 else path[0] for path in parameters}
+        if not self._names:
+            raise ValueError(f"{type(actor).__name__} has no parameters")
         self._params: TensorDictBase | None = None
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
 
@@ -45,7 +49,17 @@ class PopulationActor:
         Args:
             genomes: Parameters ``[P]`` by nested name; those of the actor that are
                 missing (and all buffers) are the actor's own.
+
+        Raises:
+            ValueError: If a name is not one of the actor's parameters.
         """
+        unknown = set(genomes.keys(True, True)) - self._names
+        if unknown:
+            names = sorted(".".join(_path(key)) for key in unknown)
+            raise ValueError(
+                f"{type(self.actor).__name__} has no parameters {names}, which the "
+                "genomes have"
+            )
         count = genomes.batch_size[0]
         own: Any = TensorDict.from_module(self._prefix)
         whole = own.data.expand(count)
@@ -91,6 +105,10 @@ class PopulationActor:
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         with params.to_module(self._prefix, preserve_module_state=False):
             return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
+
+
+def _path(key: Any) -> tuple[str, ...]:
+    return (key,) if isinstance(key, str) else tuple(key)
 
 
 def _split(

@@ -46,7 +46,8 @@ class PopulationEvaluator(Transform):
         episode_seeding: ``reset`` passes ``episode_seed=`` to the environment's reset,
             ``set_seed`` seeds an environment before each reset, ``none`` leaves it
             alone; ``auto`` takes ``reset`` if the environment's worlds have seeds of
-            their own and ``set_seed`` otherwise.
+            their own and ``set_seed`` otherwise. With ``set_seed`` one member runs at a
+            time, for the worlds of a batch would differ between members.
         exploration_type: How the members act.
         params_key: Where :meth:`forward` finds the population.
         success_key: Flag of the environment that marks success, read at the end of an
@@ -97,6 +98,11 @@ class PopulationEvaluator(Transform):
             raise ValueError(f"max_steps={max_steps} must be >= 1")
         if fitness not in ("goals", "return") and not callable(fitness):
             raise ValueError(f"fitness={fitness!r} must be 'goals', 'return' or callable")
+        if episode_seeding not in ("auto", "reset", "set_seed", "none"):
+            raise ValueError(
+                f"episode_seeding={episode_seeding!r} must be 'auto', 'reset', 'set_seed' "
+                "or 'none'"
+            )
         # No in_keys: a transform with keys would have to transform them on every step.
         super().__init__()
         # Kept out of the module tree: TransformedEnv would put the policy in eval mode
@@ -215,11 +221,13 @@ class PopulationEvaluator(Transform):
             )
             self.num_evaluations += 1
         seeds = torch.as_tensor(seeds, dtype=torch.int64)
+        if seeds.ndim != 1 or len(seeds) == 0:
+            raise ValueError(f"seeds of shape {tuple(seeds.shape)} must be [S], S >= 1")
         scores = self._empty_scores(env, count, len(seeds))
         log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
-        members = max(1, worlds // trials)
+        members = 1 if self._seeding(env) == "set_seed" else max(1, worlds // trials)
         try:
             with set_exploration_type(self.exploration_type):
                 for first in range(0, count, members):
@@ -235,11 +243,20 @@ class PopulationEvaluator(Transform):
             self.population.unload()
         return self._summary(scores, env), _ordered(log)
 
+    def _seeding(self, env: EnvBase) -> str:
+        if self.episode_seeding != "auto":
+            return self.episode_seeding
+        has_seeds = keys.EPISODE_SEED in env.full_observation_spec.keys(True, True)
+        return "reset" if has_seeds else "set_seed"
+
     def _final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
         """Entries to read at the end of an episode, and the names they get."""
         wanted = {self.success_key: "success", keys.OUTCOME: keys.OUTCOMES}
         wanted |= {key: key for key in self.extra_keys}
-        offered = env.full_observation_spec.keys(True, True)
+        offered = set(env.full_observation_spec.keys(True, True))
+        missing = [key for key in self.extra_keys if key not in offered]
+        if missing:
+            raise ValueError(f"extra_keys={missing} are not entries of the environment")
         return {key: name for key, name in wanted.items() if key in offered}
 
     def _empty_scores(self, env: EnvBase, members: int, episodes: int) -> TensorDict:
@@ -341,10 +358,8 @@ class _Rollout:
             scores.set_(name, value[:used].reshape(scores.batch_size))
 
     def _reset(self) -> TensorDictBase:
-        env, seeding = self.env, self.evaluator.episode_seeding
-        if seeding == "auto":
-            names = env.full_observation_spec.keys(True, True)
-            seeding = "reset" if keys.EPISODE_SEED in names else "set_seed"
+        env = self.env
+        seeding = self.evaluator._seeding(env)
         worlds = env.batch_size.numel()
         seeds = self.seeds.repeat(-(-worlds // len(self.seeds)))[:worlds]
         if seeding == "reset" and isinstance(env, BatchedEnvBase):

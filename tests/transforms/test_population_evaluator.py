@@ -497,13 +497,24 @@ def test_counting_worlds_with_horizons_of_their_own(actor_of):
             return (self.weight + 0.0 * observation > 0.5).to(torch.int8)
 
     actor = TensorDictModule(Increment(), in_keys=["observation"], out_keys=["action"])
-    evaluator = PopulationEvaluator(
-        actor, num_episodes=3, create_env_fn=lambda: env, max_steps=12, fitness="return"
-    )
+
+    def evaluator_with(seeding):
+        return PopulationEvaluator(
+            actor,
+            num_episodes=3,
+            create_env_fn=lambda: env,
+            max_steps=12,
+            fitness="return",
+            episode_seeding=seeding,
+        )
+
     params = TensorDict({("module", "weight"): torch.ones(2, 1)}, batch_size=[2])
-    result = evaluator.evaluate(params)
-    # A world counts beyond its horizon by one.
-    assert result["steps"].tolist() == [[2, 6, 3], [10, 4, 1]]
+    evaluator = evaluator_with("auto")
+    # A world counts beyond its horizon by one; members meet the same worlds.
+    assert evaluator.evaluate(params)["steps"].tolist() == [[2, 6, 3], [2, 6, 3]]
+    # All worlds at once, if their differences do not matter.
+    spread = evaluator_with("none").evaluate(params)
+    assert spread["steps"].tolist() == [[2, 6, 3], [10, 4, 1]]
     idle = TensorDict({("module", "weight"): torch.zeros(2, 1)}, batch_size=[2])
     assert (evaluator.evaluate(idle)["steps"] == 12).all()
 
