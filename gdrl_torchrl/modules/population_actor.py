@@ -36,8 +36,7 @@ class PopulationActor:
         self.actor = actor
         self._prefix, self._heads = _split(actor)
         self.in_keys = list(self._prefix.in_keys)
-        parameters = (tuple(n.split(".")) for n, _ in self._prefix.named_parameters())
-        self._names = {path if len(path) > 1 else path[0] for path in parameters}
+        self._names = {name for name, _ in self._prefix.named_parameters()}
         if not self._names:
             raise ValueError(f"{type(actor).__name__} has no parameters")
         self._params: TensorDictBase | None = None
@@ -53,11 +52,11 @@ class PopulationActor:
         Raises:
             ValueError: If a name is not one of the actor's parameters.
         """
-        unknown = set(genomes.keys(True, True)) - self._names
+        given = {_dotted(key) for key in genomes.keys(True, True)}
+        unknown = sorted(given - self._names)
         if unknown:
-            names = sorted(".".join(_path(key)) for key in unknown)
             raise ValueError(
-                f"{type(self.actor).__name__} has no parameters {names}, which the "
+                f"{type(self.actor).__name__} has no parameters {unknown}, which the "
                 "genomes have"
             )
         count = genomes.batch_size[0]
@@ -107,8 +106,8 @@ class PopulationActor:
             return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
 
 
-def _path(key: Any) -> tuple[str, ...]:
-    return (key,) if isinstance(key, str) else tuple(key)
+def _dotted(key: Any) -> str:
+    return key if isinstance(key, str) else ".".join(key)
 
 
 def _split(

@@ -10,12 +10,15 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, Transform
-from torchrl.envs.batched_envs import BatchedEnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_torchrl import keys
 from gdrl_torchrl.modules.population_actor import PopulationActor
+from gdrl_torchrl.transforms.population_rollout import (
+    PopulationRollout,
+    ordered_episodes,
+)
 
 Fitness = str | Callable[[TensorDictBase], torch.Tensor]
 
@@ -227,7 +230,7 @@ class PopulationEvaluator(Transform):
         log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
-        members = 1 if self._seeding(env) == "set_seed" else max(1, worlds // trials)
+        members = 1 if self.seeding_of(env) == "set_seed" else max(1, worlds // trials)
         try:
             with set_exploration_type(self.exploration_type):
                 for first in range(0, count, members):
@@ -236,20 +239,21 @@ class PopulationEvaluator(Transform):
                     for begin in range(0, len(seeds), trials):
                         columns = slice(begin, min(begin + trials, len(seeds)))
                         part = scores[rows, columns]
-                        _Rollout(self, env, part, seeds[columns]).run(
+                        PopulationRollout(self, env, part, seeds[columns]).run(
                             log if keep_transitions else None, (first, begin)
                         )
         finally:
             self.population.unload()
-        return self._summary(scores, env), _ordered(log)
+        return self._summary(scores, env), ordered_episodes(log)
 
-    def _seeding(self, env: EnvBase) -> str:
+    def seeding_of(self, env: EnvBase) -> str:
+        """How episodes of an environment are chosen."""
         if self.episode_seeding != "auto":
             return self.episode_seeding
         has_seeds = keys.EPISODE_SEED in env.full_observation_spec.keys(True, True)
         return "reset" if has_seeds else "set_seed"
 
-    def _final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
+    def final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
         """Entries to read at the end of an episode, and the names they get."""
         wanted = {self.success_key: "success", keys.OUTCOME: keys.OUTCOMES}
         wanted |= {key: key for key in self.extra_keys}
@@ -270,7 +274,7 @@ class PopulationEvaluator(Transform):
             },
             batch_size=shape,
         )
-        for key, name in self._final_keys(env).items():
+        for key, name in self.final_keys(env).items():
             dtype = env.full_observation_spec[key].dtype
             scores[name] = torch.zeros(shape, dtype=dtype)
         return scores
@@ -287,7 +291,7 @@ class PopulationEvaluator(Transform):
             },
             batch_size=scores.batch_size[:1],
         )
-        for name in self._final_keys(env).values():
+        for name in self.final_keys(env).values():
             if name != "success":
                 result[name] = scores[name]
         if callable(self.fitness):
@@ -298,114 +302,3 @@ class PopulationEvaluator(Transform):
             fitness = result[keys.RETURN_MEAN].clone()
         broken = ~scores.get("finite").all(dim=1)
         return result.set(keys.FITNESS, fitness.masked_fill(broken, torch.nan))
-
-
-class _Rollout:
-    """One batch of members and episodes in an environment, until all have ended."""
-
-    def __init__(
-        self,
-        evaluator: PopulationEvaluator,
-        env: EnvBase,
-        scores: TensorDictBase,
-        seeds: torch.Tensor,
-    ) -> None:
-        self.evaluator, self.env, self.scores, self.seeds = evaluator, env, scores, seeds
-        self.used = scores.numel()
-        self.is_batched = env.batch_size.numel() > 1 or len(env.batch_size) > 0
-
-    def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
-        """Fill the scores ``[p, s]``; append transitions to ``log``."""
-        env, used = self.env, self.used
-        worlds = env.batch_size.numel()
-        td = self._reset()
-        alive = torch.zeros(worlds, dtype=torch.bool)
-        alive[:used] = True
-        returns = torch.zeros(worlds, dtype=torch.float64)
-        steps = torch.zeros(worlds, dtype=torch.int64)
-        final_keys = self.evaluator._final_keys(env)
-        final = {
-            name: torch.zeros(worlds, dtype=self.scores[name].dtype)
-            for name in final_keys.values()
-        }
-        finite = torch.ones(worlds, dtype=torch.bool)
-        limit = self.evaluator.max_steps
-        while bool(alive.any()):
-            td = self._act(td, finite, alive)
-            if not bool(alive.all()):
-                td.set(keys.STEP_MASK, alive.reshape(env.batch_size))
-            td = env.step(td)
-            following = td["next"]
-            if log is not None:
-                log.append(self._transitions(td, alive, steps, offset))
-            reward = following[keys.REWARD].reshape(worlds).to(torch.float64)
-            done = following[keys.DONE].reshape(worlds)
-            # Frozen worlds repeat their last step: nothing of it counts.
-            returns += torch.where(alive, reward, 0.0)
-            steps += alive
-            ended = alive & done
-            if bool(ended.any()):
-                for key, name in final_keys.items():
-                    value = following[key].reshape(worlds)
-                    final[name] = torch.where(ended, value, final[name])
-            alive = alive & ~done
-            if limit is not None:
-                alive &= steps < limit
-            td = step_mdp(td, exclude_action=True)
-        scores = self.scores
-        final |= {"return": returns.float(), "steps": steps, "finite": finite}
-        for name, value in final.items():
-            scores.set_(name, value[:used].reshape(scores.batch_size))
-
-    def _reset(self) -> TensorDictBase:
-        env = self.env
-        seeding = self.evaluator._seeding(env)
-        worlds = env.batch_size.numel()
-        seeds = self.seeds.repeat(-(-worlds // len(self.seeds)))[:worlds]
-        if seeding == "reset" and isinstance(env, BatchedEnvBase):
-            each = [{"episode_seed": int(seed)} for seed in seeds]
-            return env.reset(list_of_kwargs=each)
-        if seeding == "reset":
-            return env.reset(episode_seed=seeds.reshape(env.batch_size))
-        if seeding == "set_seed":
-            env.set_seed(int(self.seeds[0] % 2**31))
-        return env.reset()
-
-    def _act(
-        self, td: TensorDictBase, finite: torch.Tensor, alive: torch.Tensor
-    ) -> TensorDictBase:
-        population, used = self.evaluator.population, self.used
-        rows = td.select(*population.in_keys).reshape(-1)
-        rows = population(rows[:used] if used < rows.shape[0] else rows)
-        acted = rows.pop("policy_is_finite")
-        finite[:used] &= acted | ~alive[:used]
-        if used < self.env.batch_size.numel():
-            idle = rows[:1].expand(self.env.batch_size.numel() - used)
-            rows = torch.cat([rows, idle.clone()])
-        return td.update(rows.reshape(self.env.batch_size))
-
-    def _transitions(
-        self,
-        td: TensorDictBase,
-        alive: torch.Tensor,
-        steps: torch.Tensor,
-        offset: tuple[int, int],
-    ) -> TensorDictBase:
-        trials = self.scores.batch_size[1]
-        flat = td.exclude(keys.STEP_MASK).reshape(-1)[alive].clone()
-        world = alive.nonzero()[:, 0]
-        flat["member"] = offset[0] + world // trials
-        flat["episode"] = offset[1] + world % trials
-        flat["time"] = steps[alive]
-        return flat
-
-
-def _ordered(log: list[TensorDictBase]) -> TensorDictBase:
-    """Transitions of all steps as one tensordict, episode after episode."""
-    if not log:
-        return TensorDict(batch_size=[0])
-    whole: Any = TensorDict.cat(log)
-    member, episode, time = (whole.get(name) for name in ("member", "episode", "time"))
-    span, episodes = int(time.max()) + 1, int(episode.max()) + 1
-    order = (member * episodes + episode) * span + time
-    return whole.exclude("time")[order.argsort()]
