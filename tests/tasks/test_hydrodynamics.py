@@ -17,7 +17,7 @@ from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
 from gdrl_tasks.water.task import WaterOptions, WaterTask
 
 HULL = make_hull()
-SUBSTEP_S = 0.025
+SUBSTEP_S = WaterOptions().substep_s
 NUM_WORLDS = 48
 
 
