@@ -27,7 +27,8 @@ def register_configs() -> None:
         store.store(name=name, node=node, group=group, provider=_PROVIDER)
 
     add("experiment_config", schema.ExperimentConfig)
-    add("ppo_config", schema.PPOConfig, "algorithm")
+    for name, node in schema.ALGORITHMS.items():
+        add(f"{name}_config", node, "algorithm")
     add("network_config", schema.NetworkConfig, "network")
     add("evolution_config", schema.EvolutionConfig, "evolution")
     for name in task_names():

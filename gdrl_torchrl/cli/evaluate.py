@@ -9,7 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.cli.compose import merge_task
-from gdrl_torchrl.config.schema import EvaluationConfig, NetworkConfig
+from gdrl_torchrl.config.schema import (
+    ALGORITHMS,
+    EvaluationConfig,
+    ExperimentConfig,
+    NetworkConfig,
+)
 
 _USAGE = (
     "usage: gdrl-evaluate run=<run directory> [episodes=N] [seed=N] "
@@ -59,16 +64,21 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     from gdrl_torchrl.training.build import make_actor
     from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
 
+    config = ExperimentConfig(
+        task=merge_task(saved["task"], []),
+        algorithm=ALGORITHMS[saved["algorithm"]["name"]](**saved["algorithm"]),
+        network=NetworkConfig(**saved["network"]),
+    )
     task_config = merge_task(saved["task"], overrides)
     task = make_task_from_config(task_config)
-    trained = make_task_from_config(merge_task(saved["task"], [])).spec
+    trained = make_task_from_config(config.task).spec
     for name in ("observation", "action_size", "is_discrete"):
         if getattr(task.spec, name) != getattr(trained, name):
             raise ValueError(
                 f"task.{' task.'.join(overrides)}: the policy was trained with "
                 f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
             )
-    actor = make_actor(task, NetworkConfig(**saved["network"]))
+    actor = make_actor(task, config)
     load_policy(run / "final", actor)
     scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
     return {

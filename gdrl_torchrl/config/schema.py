@@ -63,16 +63,87 @@ class PPOConfig:
             check_range(f"algorithm.{name}", getattr(self, name), least=0.0, most=1.0)
         for name in ("entropy_coeff", "critic_coeff"):
             check_range(f"algorithm.{name}", getattr(self, name), least=0.0)
-        if self.frames_per_batch % self.num_worlds:
-            raise ValueError(
-                f"algorithm.frames_per_batch={self.frames_per_batch} must be a multiple "
-                f"of algorithm.num_worlds={self.num_worlds}"
-            )
+        check_whole_rows(self.frames_per_batch, self.num_worlds)
         if self.minibatch_size > self.frames_per_batch:
             raise ValueError(
                 f"algorithm.minibatch_size={self.minibatch_size} must be <= "
                 f"algorithm.frames_per_batch={self.frames_per_batch}"
             )
+
+
+@dataclasses.dataclass
+class RainbowConfig:
+    """Rainbow (Hessel et al. 2018, https://arxiv.org/abs/1710.02298)."""
+
+    name: str = "rainbow"
+    num_worlds: int = 16
+    frames_per_batch: int = 256
+    updates_per_batch: int = 8
+    minibatch_size: int = 256
+    learning_rate: float = 5e-4
+    gamma: float = 0.99
+    num_steps: int = 3
+    """Steps of the return before the target network takes over."""
+    num_atoms: int = 51
+    target_tau: float = 0.01
+    """How far the target network moves towards the agent's at every update."""
+    replay_capacity: int = 100_000
+    replay_alpha: float = 0.6
+    replay_beta: float = 0.4
+    replay_beta_increment: float = 5e-4
+    """Added to beta at every update, up to 1."""
+    warmup_steps: int = 2_000
+    """Transitions in the buffer before the first update."""
+    exploration: str = "epsilon_greedy"
+    epsilon_start: float = 1.0
+    epsilon_end: float = 0.02
+    epsilon_decay: float = 0.99
+    """Factor of epsilon at every completed episode."""
+    noisy_std: float = 0.5
+    """Initial scale of the noise, with ``exploration=noisy``."""
+    max_grad_norm: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_choice("algorithm.name", self.name, ("rainbow",))
+        check_choice("algorithm.exploration", self.exploration, ("epsilon_greedy", "noisy"))
+        for name in (
+            "num_worlds",
+            "frames_per_batch",
+            "updates_per_batch",
+            "minibatch_size",
+            "num_steps",
+            "replay_capacity",
+            "warmup_steps",
+        ):
+            check_range(f"algorithm.{name}", getattr(self, name), least=1)
+        check_range("algorithm.num_atoms", self.num_atoms, least=2)
+        for name in ("learning_rate", "noisy_std", "max_grad_norm"):
+            check_range(f"algorithm.{name}", getattr(self, name), above=0.0)
+        check_range("algorithm.target_tau", self.target_tau, above=0.0, most=1.0)
+        check_range("algorithm.replay_beta_increment", self.replay_beta_increment, least=0)
+        for name in (
+            "gamma",
+            "replay_alpha",
+            "replay_beta",
+            "epsilon_start",
+            "epsilon_end",
+            "epsilon_decay",
+        ):
+            check_range(f"algorithm.{name}", getattr(self, name), least=0.0, most=1.0)
+        check_whole_rows(self.frames_per_batch, self.num_worlds)
+        if self.warmup_steps > self.replay_capacity:
+            raise ValueError(
+                f"algorithm.warmup_steps={self.warmup_steps} must be <= "
+                f"algorithm.replay_capacity={self.replay_capacity}"
+            )
+        if self.epsilon_end > self.epsilon_start:
+            raise ValueError(
+                f"algorithm.epsilon_end={self.epsilon_end} must be <= "
+                f"algorithm.epsilon_start={self.epsilon_start}"
+            )
+
+
+ALGORITHMS: dict[str, type] = {"ppo": PPOConfig, "rainbow": RainbowConfig}
 
 
 @dataclasses.dataclass
@@ -98,6 +169,11 @@ class EvolutionConfig:
     """``keep`` the optimiser's moments or ``reset`` those of the actor."""
     critic_on_switch: str = "keep"
     """``keep`` the parent's critic or ``reset`` it to new weights."""
+    target_tau: float = 0.1
+    """How far a target network moves towards the new agent on a switch."""
+    experience_share: float = 0.1
+    """Share of an evaluation's transitions that enters the agent's replay buffer on a
+    switch; 0 shares none."""
     num_worlds: int | None = None
     """Worlds of the evaluation; None takes one per member and trial."""
 
@@ -107,6 +183,8 @@ class EvolutionConfig:
         if self.num_worlds is not None:
             check_range("evolution.num_worlds", self.num_worlds, least=1)
         check_range("evolution.mut_v", self.mut_v, least=0.0)
+        for name in ("target_tau", "experience_share"):
+            check_range(f"evolution.{name}", getattr(self, name), least=0.0, most=1.0)
         check_choice("evolution.mutation", self.mutation, MUTATIONS)
         check_choice("evolution.mut_v_is", self.mut_v_is, ("std", "variance"))
         check_choice("evolution.fitness", self.fitness, ("goals", "return"))
@@ -226,6 +304,15 @@ class ExperimentConfig:
     def algorithm_label(self) -> str:
         """``ppo``, or ``gppo`` with the genetic evaluation."""
         return ("g" if self.evolution.enabled else "") + self.algorithm.name
+
+
+def check_whole_rows(frames_per_batch: int, num_worlds: int) -> None:
+    """Raise ValueError unless every world gives equally many frames of a batch."""
+    if frames_per_batch % num_worlds:
+        raise ValueError(
+            f"algorithm.frames_per_batch={frames_per_batch} must be a multiple "
+            f"of algorithm.num_worlds={num_worlds}"
+        )
 
 
 def check_choice(name: str, value: Any, choices: Any) -> None:

@@ -20,8 +20,8 @@ from gdrl_torchrl.training.build import Training
 class TrainingState:
     """All state of a :class:`Training` as one ``state_dict``.
 
-    Networks, optimiser, genetic hook, simulator, order of minibatches, collector
-    counters and the global torch generator. A dm_control environment has no state to
+    Networks, optimiser, genetic hook, simulator, replay or order of minibatches,
+    collector counters and the global torch generator. A dm_control environment has no state to
     restore: a run on that backend resumes with new episodes.
 
     Args:
@@ -35,34 +35,34 @@ class TrainingState:
 
     def state_dict(self) -> dict[str, Any]:
         """State as nested dicts of tensors and plain values."""
-        training = self.training
+        training, agent = self.training, self.training.agent
         env = training.env
         return {
-            "loss": dict(training.loss.state_dict()),
-            "optimizer": training.optimizer.state_dict(),
+            "loss": dict(agent.loss.state_dict()),
+            "optimizer": agent.optimizer.state_dict(),
             "genetic": training.genetic.state_dict(),
             "env": env.get_state() if isinstance(env, NavigationEnv) else None,
-            # The order of the next epoch is drawn when the one before it ends.
-            "sampler": dict(training.buffer.sampler.state_dict()),
+            "parts": {name: dict(p.state_dict()) for name, p in agent.parts.items()},
             "counters": self.counters.state_dict(),
-            "collected_frames": int(training.trainer.collected_frames),
+            "collected_frames": int(agent.trainer.collected_frames),
             "generator": torch.get_rng_state(),
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
-        training = self.training
-        training.loss.load_state_dict(state_dict["loss"])
-        training.optimizer.load_state_dict(state_dict["optimizer"])
+        training, agent = self.training, self.training.agent
+        agent.loss.load_state_dict(state_dict["loss"])
+        agent.optimizer.load_state_dict(state_dict["optimizer"])
         training.genetic.load_state_dict(state_dict["genetic"])
-        training.buffer.sampler.load_state_dict(state_dict["sampler"])
+        for name, part in agent.parts.items():
+            part.load_state_dict(state_dict["parts"][name])
         self.counters.load_state_dict(state_dict["counters"])
-        training.trainer.collected_frames = state_dict["collected_frames"]
+        agent.trainer.collected_frames = state_dict["collected_frames"]
         if state_dict["env"] is not None:
             assert isinstance(training.env, NavigationEnv)
             training.env.set_state(state_dict["env"])
         # The environment goes on from its state; the collector reads where that is.
-        training.collector.reset()
+        agent.collector.reset()
         # Last: whatever came before must not have drawn from it.
         torch.set_rng_state(state_dict["generator"].to(torch.uint8))
 

@@ -120,7 +120,8 @@ def save_policy(
 ) -> None:
     """Write a policy's weights (safetensors) and what is needed to use them."""
     folder.mkdir(parents=True, exist_ok=True)
-    state = {name: value.contiguous() for name, value in actor.state_dict().items()}
+    # Copies: the format refuses buffers that share memory, as TorchRL's supports do.
+    state = {name: value.clone() for name, value in actor.state_dict().items()}
     save_file(state, folder / POLICY_FILE)
     low, high = task.spec.observation_bounds
     contract = {

@@ -64,6 +64,9 @@ class GeneticHook(TrainerHookBase):
         optimizer_on_switch: ``keep`` or ``reset`` those moments on a switch.
         critic: Critic that ``critic_on_switch`` is about.
         critic_on_switch: ``keep`` the parent's critic or ``reset`` its layers.
+        on_switch: Called after the agent was replaced, as to move a target network.
+        share_experience: Called on a switch with the transitions ``[T]`` of the
+            evaluation (whole episodes, one after another); without it they are not kept.
         seed: Seed of the mutations.
         success_key: Flag of success in the training batches.
         on_evaluation: Called with each :class:`GeneticEvaluation`.
@@ -89,6 +92,8 @@ class GeneticHook(TrainerHookBase):
         optimizer_on_switch: str = "keep",
         critic: torch.nn.Module | None = None,
         critic_on_switch: str = "keep",
+        on_switch: Sequence[Callable[[], object]] = (),
+        share_experience: Callable[[TensorDictBase], object] | None = None,
         seed: int = 0,
         success_key: str = keys.SUCCESS,
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
@@ -122,6 +127,8 @@ class GeneticHook(TrainerHookBase):
         self.optimizer_on_switch = optimizer_on_switch
         self.critic = critic
         self.critic_on_switch = critic_on_switch
+        self.on_switch = list(on_switch)
+        self.share_experience = share_experience
         self.success_key = success_key
         self.on_evaluation = list(on_evaluation)
         self.generator = torch.Generator().manual_seed(seed)
@@ -199,7 +206,11 @@ class GeneticHook(TrainerHookBase):
             generator=self.generator,
         )
         population = concatenate([stack_copies(genome, 1), children])
-        scores = self.evaluator.evaluate(population)
+        transitions = None
+        if self.share_experience is None:
+            scores = self.evaluator.evaluate(population)
+        else:
+            scores, transitions = self.evaluator.evaluate_with_transitions(population)
         winner = select_best(scores, parent=PARENT, tie_rule=self.tie_rule)
         evaluation = GeneticEvaluation(
             number=self.num_evaluations,
@@ -213,6 +224,8 @@ class GeneticHook(TrainerHookBase):
         if evaluation.switched:
             self.num_switches += 1
             self._hand_over(population[winner])
+            if self.share_experience is not None:
+                self.share_experience(transitions)
         for callback in self.on_evaluation:
             callback(evaluation)
         return evaluation
@@ -229,6 +242,8 @@ class GeneticHook(TrainerHookBase):
                 reset = getattr(module, "reset_parameters", None)
                 if callable(reset):
                     reset()
+        for follow in self.on_switch:
+            follow()
         if self._trainer is not None:
             # Collectors in other processes hold copies of the weights.
             collector: Any = self._trainer.collector

@@ -117,7 +117,7 @@ def _train(
             save_interval_s=config.checkpoint.interval_s,
             logger=logger,
         )
-        monitor.register(training.trainer)
+        monitor.register(training.agent.trainer)
         state = TrainingState(training, monitor)
         checkpoints = Checkpoints(directory.checkpoints, state, keep=config.checkpoint.keep)
         if checkpoints.load_latest():
@@ -126,7 +126,7 @@ def _train(
         if not is_spent(config.budget, monitor.counters()):
             monitor.start()
             stack.callback(monitor.stop)
-            training.trainer.train()
+            training.agent.trainer.train()
         costs = monitor.counters()
         if monitor.interrupted_by is not None and not is_spent(config.budget, costs):
             raise InterruptedRunError(monitor.interrupted_by, directory.path)
@@ -153,7 +153,7 @@ def _report(
     costs: dict[str, Any],
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
-    task, actor = training.task, training.actor
+    task, actor = training.task, training.agent.actor
     threads = config.simulation.num_threads
     scores = evaluate_policy(
         task,

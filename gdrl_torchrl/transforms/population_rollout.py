@@ -97,7 +97,10 @@ class PopulationRollout:
         if used < self.env.batch_size.numel():
             idle = rows[:1].expand(self.env.batch_size.numel() - used)
             rows = torch.cat([rows, idle.clone()])
-        return td.update(rows.reshape(self.env.batch_size))
+        # Not everything that a policy says: the value distributions of all actions
+        # would make up most of a transition.
+        needed = rows.select(*self.env.action_keys, "next", strict=False)
+        return td.update(needed.reshape(self.env.batch_size))
 
     def _transitions(
         self,

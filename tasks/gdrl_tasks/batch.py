@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from gdrl_tasks.kernels import state_is_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.seeds import Stream, episode_seeds
 from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex
 
 _logger = logging.getLogger(__name__)
-_LARGEST_STATE = 1e6
 _WORLDS_PER_THREAD = 8
 """Below this many worlds a second thread costs more than it saves."""
 
@@ -134,6 +134,8 @@ class BatchSimulation:
             episode = self.task.draw_episode(int(seed))
             self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
             self.task.begin_episode(self.arrays, rows, episode, int(seed))
+        for shard, own in zip(self._shards, self._split(ids), strict=True):
+            shard.begin(own)
         self.arrays["episode_number"][ids] = start + np.arange(len(ids))
         self.num_episodes_begun += len(ids)
         return self.observe(ids)
@@ -176,8 +178,7 @@ class BatchSimulation:
     def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
         """Flat observations of worlds, ``[K, D]``."""
         ids = self._checked_ids(ids)
-        named = self.task.observe(self.arrays, ids, self.qpos[ids], self.qvel[ids])
-        return np.concatenate(list(named.values()), axis=-1)
+        return self.task.observe(self.arrays, ids, self.qpos[ids], self.qvel[ids])
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as a dict of arrays (copies)."""
@@ -211,6 +212,7 @@ class BatchSimulation:
             # Counters of warnings are not part of the state: start them afresh.
             shard.reset(np.arange(len(rows)))
             rows[...] = state["engine"][low : low + len(rows)]
+            shard.write_model(np.arange(len(rows)))
         self.seed = int(state["seed"])
         self.num_episodes_begun = int(state["num_episodes_begun"])
 
@@ -271,13 +273,6 @@ class BatchSimulation:
                 self.arrays["episode_seed"][world],
                 self.arrays["steps"][world],
             )
-
-
-def state_is_sane(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Mask of worlds whose state is to be believed, ``[K]``."""
-    # Written so that NaN is not sane.
-    position = np.abs(qpos).max(axis=1, initial=0.0) < _LARGEST_STATE
-    return position & (np.abs(qvel).max(axis=1, initial=0.0) < _LARGEST_STATE)
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gdrl_tasks.batch import BatchSimulation
+from gdrl_tasks.indoor.task import IndoorOptions, IndoorTask
 from gdrl_tasks.task import NavigationTask
 from gdrl_tasks.water.task import WaterOptions, WaterTask
 
@@ -34,6 +35,7 @@ class RegisteredTask:
 
 
 _BUILT_IN = (
+    RegisteredTask("indoor", IndoorOptions, IndoorTask, tags=("continuous", "discrete")),
     RegisteredTask("water", WaterOptions, WaterTask, tags=("continuous", "discrete")),
 )
 

@@ -6,13 +6,20 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from gdrl_tasks.task import NavigationTask, WorldArrays, WorldIndex
+from gdrl_tasks.task import (
+    RAY_GROUP,
+    NavigationTask,
+    WorldArrays,
+    WorldIndex,
+    believable,
+)
 
 _DIVERGENCE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
+_RAY_GROUPS = (np.arange(mujoco.mjNGROUP) == RAY_GROUP).astype(np.uint8)
 
 
 class Shard:
@@ -45,10 +52,30 @@ class Shard:
         self._engine_qvel = self.batch.bind("qvel")
         self._time = self.batch.bind("time")
         self._xfrc = self.batch.bind("xfrc_applied")
+        self._control = self.batch.bind("ctrl") if model.nu else None
+        self._fields = {name: self.batch.expand(name) for name in task.model_fields}
 
     def reset(self, ids: WorldIndex) -> None:
         """Reset the engine of worlds, numbered within the shard."""
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+
+    def begin(self, ids: WorldIndex) -> None:
+        """Bring models and sensors of worlds up to date with their new episodes."""
+        self.write_model(ids)
+        if self.task.has_rays and len(ids):
+            steps = self.arrays["steps"][ids]
+            self.task.sense(self.arrays, ids, self._qpos[ids], steps, self.cast_rays)
+
+    def write_model(self, ids: WorldIndex) -> None:
+        """Write the fields of the model that differ by world."""
+        if self._fields and len(ids):
+            self.task.write_model_fields(self._fields, self.arrays, ids)
+
+    def cast_rays(
+        self, ids: WorldIndex, origin: np.ndarray, direction: np.ndarray
+    ) -> np.ndarray:
+        """Distances that rays go in worlds, ``[K, B]``; negative for no hit."""
+        return self.batch.ray(origin[:, None], direction, _RAY_GROUPS, ids=ids)[0]
 
     def advance(self, ids: WorldIndex) -> None:
         """Step worlds, numbered within the shard, through a control interval."""
@@ -56,6 +83,8 @@ class Shard:
             return
         substeps = self.task.spec.num_substeps
         self._engine_qpos[...], self._engine_qvel[...] = self._qpos, self._qvel
+        if self._control is not None:
+            self._control[...] = self.arrays["control"]
         if self.task.has_substep_forces:
             for _ in range(substeps):
                 self.task.apply_forces(
@@ -70,6 +99,10 @@ class Shard:
         else:
             self.batch.step(ids, substeps)
         self._qpos[...], self._qvel[...] = self._engine_qpos, self._engine_qvel
+        if self.task.has_rays:
+            steps = self.arrays["steps"][ids] + 1
+            qpos = believable(self._qpos[ids])
+            self.task.sense(self.arrays, ids, qpos, steps, self.cast_rays)
 
     def count_warnings(self) -> np.ndarray:
         """Warnings of divergence so far, per world of the shard."""

@@ -10,17 +10,31 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 
-from gdrl_tasks.navigation import Outcome, decide_outcome, goal_polar, segment_distance
+from gdrl_tasks.kernels import (
+    clip_rows,
+    finish,
+    free_body_pose,
+    is_within,
+    observe_goal,
+)
 
 WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
 
-_LARGEST_SEEN = 1e6
+CastRays = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Distances to what rays hit, metres ``[K, B]``, negative for nothing, from worlds
+``[K]``, origins ``[K, 3]`` and unit directions ``[K, B, 3]``. Rays see the geoms of
+group 2."""
+
+RAY_GROUP = 2
+LARGEST_SEEN = 1e6
+"""Sensors see a state beyond this, and what is not a number, as this."""
 
 WorldIndex = np.ndarray
 """Indices of the worlds that a call acts on, ``[K]``, int64, ascending."""
@@ -31,7 +45,8 @@ class TaskSpec:
     """Shapes, bounds and times of a task.
 
     ``observation`` maps names to (size, minimum, maximum); the flat observation is
-    their concatenation in that order.
+    their concatenation in that order, and begins with ``goal_distance`` and
+    ``goal_bearing``.
     """
 
     observation: Mapping[str, tuple[int, float, float]]
@@ -41,19 +56,60 @@ class TaskSpec:
     control_interval_s: float
     substep_s: float
     step_limit: int
-    reward_range: tuple[float, float]
+    running_reward_limit: float = 0.0
+    """Largest absolute reward of a step that does not end the episode."""
+
+    @property
+    def reward_range(self) -> tuple[float, float]:
+        """Least and largest reward of any step; an end gives -1 or 1."""
+        largest = max(1.0, self.running_reward_limit)
+        return -largest, largest
+
+    def return_range(self, gamma: float) -> tuple[float, float]:
+        """Least and largest discounted return of an episode.
+
+        Args:
+            gamma: Discount in [0, 1].
+
+        Raises:
+            ValueError: If ``gamma`` is out of range.
+
+        Examples:
+            >>> spec = TaskSpec({}, 1, False, 0.1, 0.1, step_limit=9)
+            >>> spec.return_range(0.99)
+            (-1.0, 1.0)
+        """
+        if not 0.0 <= gamma <= 1.0:
+            raise ValueError(f"gamma={gamma} must be in [0, 1]")
+        # Rewards of +-limit until the last step, which gives +-1: the sum is monotonic
+        # in the length of the episode, so one of the two extremes is the largest.
+        steps = self.step_limit - 1
+        weight = sum(gamma**step for step in range(steps))
+        longest = self.running_reward_limit * weight + gamma**steps
+        # A truncated episode is worth what would have followed.
+        if gamma < 1.0:
+            longest = max(longest, self.running_reward_limit / (1.0 - gamma))
+        largest = max(1.0, longest)
+        return -largest, largest
 
     @property
     def num_substeps(self) -> int:
         """Physics substeps in a control interval."""
         return round(self.control_interval_s / self.substep_s)
 
-    @property
+    @functools.cached_property
+    def columns(self) -> dict[str, slice]:
+        """Where each named observation is in the flat one."""
+        ends = np.cumsum([size for size, _, _ in self.observation.values()]).tolist()
+        starts = [0, *ends[:-1]]
+        return dict(zip(self.observation, map(slice, starts, ends), strict=True))
+
+    @functools.cached_property
     def observation_size(self) -> int:
         """Length ``D`` of the flat observation."""
         return sum(size for size, _, _ in self.observation.values())
 
-    @property
+    @functools.cached_property
     def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of the flat observation, ``[D]`` each."""
         low = [np.full(size, low) for size, low, _ in self.observation.values()]
@@ -73,12 +129,19 @@ class TaskSpec:
             raise ValueError(f"action of type {action.dtype} must be real numbers")
         if action.shape != shape:
             raise ValueError(f"action of shape {action.shape} must have shape {shape}")
+        if self.is_discrete and action.dtype != np.int64:
+            fractional = np.isfinite(action) & (action % 1 != 0)
+            if fractional.any():
+                raise ValueError(
+                    f"action={action[fractional][0]} must be an integer in "
+                    f"[0, {self.action_size})"
+                )
         if self.is_discrete:
-            choice = action[np.isfinite(action)]
-            wrong = (choice < 0) | (choice >= self.action_size) | (choice % 1 != 0)
+            # Written so that NaN passes: its world diverges.
+            wrong = (action < 0) | (action >= self.action_size)
             if wrong.any():
                 raise ValueError(
-                    f"action={choice[wrong][0]} must be an integer in "
+                    f"action={action[wrong][0]} must be an integer in "
                     f"[0, {self.action_size})"
                 )
         return action
@@ -91,7 +154,10 @@ class Episode:
     qpos: np.ndarray
     qvel: np.ndarray
     arrays: Mapping[str, Any]
-    """Initial rows of the task's arrays, by name; ``goal`` is always among them."""
+    """Initial rows of the task's arrays, by name; ``goal`` is always among them.
+
+    ``shortest_path`` is the way to the goal itself, where it is not a straight line.
+    """
 
 
 class NavigationTask(abc.ABC):
@@ -105,6 +171,10 @@ class NavigationTask(abc.ABC):
     spec: TaskSpec
     has_substep_forces: ClassVar[bool] = False
     """Whether :meth:`apply_forces` must run before every physics substep."""
+    model_fields: ClassVar[tuple[str, ...]] = ()
+    """Fields of the model that differ by world, see :meth:`write_model_fields`."""
+    has_rays: ClassVar[bool] = False
+    """Whether :meth:`sense` must run after every control step."""
 
     goal_tolerance_m: float
     progress_weight: float
@@ -122,15 +192,21 @@ class NavigationTask(abc.ABC):
 
     @abc.abstractmethod
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
-        """The task's own arrays ``[W, ...]``, beside those of :meth:`allocate`."""
+        """The task's own arrays ``[W, ...]``, beside those of :meth:`allocate`.
+
+        If the model has actuators, ``control`` ``[W, nu]`` is what they are given.
+        """
 
     @abc.abstractmethod
     def set_action(self, arrays: WorldArrays, ids: WorldIndex, action: Any) -> None:
         """Store the commands that belong to actions ``[K, A]`` or ``[K]``."""
 
-    @abc.abstractmethod
     def planar_pose(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions in metres ``[K, 2]`` and headings in radians ``[K]``."""
+        """Positions in metres ``[K, 2]`` and headings in radians ``[K]``.
+
+        Unless overridden, those of a vehicle whose free joint is the model's first.
+        """
+        return free_body_pose(qpos)
 
     @abc.abstractmethod
     def observe_extra(
@@ -148,6 +224,35 @@ class NavigationTask(abc.ABC):
         xfrc_applied: np.ndarray,
     ) -> None:
         """Write the forces of the coming substep; arrays hold every world."""
+
+    def write_model_fields(
+        self, fields: Mapping[str, np.ndarray], arrays: WorldArrays, ids: WorldIndex
+    ) -> None:
+        """Write what an episode changes in the model, as it begins.
+
+        Args:
+            fields: Live arrays of :attr:`model_fields` for all worlds, ``[W, ...]``.
+            arrays: Arrays of all worlds.
+            ids: The worlds.
+        """
+
+    def sense(
+        self,
+        arrays: WorldArrays,
+        ids: WorldIndex,
+        qpos: np.ndarray,
+        steps: np.ndarray,
+        cast_rays: CastRays,
+    ) -> None:
+        """Store what sensors that need rays read, after ``steps`` ``[K]`` of an episode.
+
+        Args:
+            arrays: Arrays of all worlds.
+            ids: The worlds.
+            qpos: Their generalised positions, ``[K, nq]``.
+            steps: Control steps of their episodes so far, ``[K]``.
+            cast_rays: The engine's rays.
+        """
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
         """Bring what only the eye sees up to date before a frame is rendered."""
@@ -181,7 +286,8 @@ class NavigationTask(abc.ABC):
         distance = np.hypot(*(arrays["goal"][ids] - position).T)
         arrays["position"][ids] = position
         arrays["distance"][ids] = distance
-        arrays["shortest_path"][ids] = np.maximum(distance - self.goal_tolerance_m, 0.0)
+        shortest = episode.arrays.get("shortest_path", distance)
+        arrays["shortest_path"][ids] = np.maximum(shortest - self.goal_tolerance_m, 0.0)
         arrays["episode_seed"][ids] = seed
 
     def finish_step(
@@ -199,31 +305,28 @@ class NavigationTask(abc.ABC):
             qpos: Their generalised positions, ``[K, nq]``.
             diverged: Mask of those whose state is not to be believed, ``[K]``.
         """
-        qpos = np.where(diverged[:, None], 0.0, qpos)
+        if diverged.any():
+            qpos = np.where(diverged[:, None], 0.0, qpos)
         position, _ = self.planar_pose(qpos)
-        before, goal = arrays["position"][ids], arrays["goal"][ids]
-        position = np.where(diverged[:, None], before, position)
-        distance = np.hypot(*(goal - position).T)
-        progress = arrays["distance"][ids] - distance
-        steps = arrays["steps"][ids] + 1
-        outcome = decide_outcome(
-            segment_distance(before, position, goal) <= self.goal_tolerance_m,
+        return finish(
+            ids,
+            position,
             self.collides(arrays, ids, qpos),
-            steps >= self.spec.step_limit,
             diverged,
+            (
+                self.goal_tolerance_m,
+                self.spec.step_limit,
+                self.progress_weight,
+                self.truncates_at_limit,
+            ),
+            arrays["goal"],
+            arrays["position"],
+            arrays["distance"],
+            arrays["path_length"],
+            arrays["episode_return"],
+            arrays["steps"],
+            arrays["outcome"],
         )
-        reward = self.progress_weight * progress
-        reward += outcome == Outcome.SUCCESS
-        reward -= (outcome == Outcome.COLLISION) | (outcome == Outcome.DIVERGED)
-        if not self.truncates_at_limit:
-            reward -= outcome == Outcome.TIMEOUT
-        arrays["path_length"][ids] += np.hypot(*(position - before).T)
-        arrays["position"][ids] = position
-        arrays["distance"][ids] = distance
-        arrays["steps"][ids] = steps
-        arrays["outcome"][ids] = outcome
-        arrays["episode_return"][ids] += reward
-        return reward
 
     def collides(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
@@ -233,26 +336,29 @@ class NavigationTask(abc.ABC):
 
     def observe(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Named observations of worlds ``ids``, each ``[K, size]``, always finite."""
-        # A diverged world is observed too: its numbers need only be finite.
-        qpos, qvel = (
-            np.clip(np.nan_to_num(state), -_LARGEST_SEEN, _LARGEST_SEEN)
-            for state in (qpos, qvel)
-        )
+    ) -> np.ndarray:
+        """Flat observations of worlds ``ids``, ``[K, D]``, always finite."""
+        qpos, qvel = believable(qpos), believable(qvel)
         position, yaw = self.planar_pose(qpos)
-        distance, bearing = goal_polar(position, yaw, arrays["goal"][ids])
-        values = {
-            "goal_distance": distance / self.distance_scale_m,
-            "goal_bearing": bearing / np.pi,
-        }
-        values |= self.observe_extra(arrays, ids, qpos, qvel)
-        named = {}
-        for name, (size, low, high) in self.spec.observation.items():
-            named[name] = np.clip(values[name].reshape(len(ids), size), low, high)
-        return named
+        flat = np.empty((len(ids), self.spec.observation_size))
+        observe_goal(ids, position, yaw, arrays["goal"], self.distance_scale_m, flat)
+        for name, value in self.observe_extra(arrays, ids, qpos, qvel).items():
+            columns = self.spec.columns[name]
+            flat[:, columns] = value.reshape(len(ids), -1)
+        clip_rows(flat, *self.spec.observation_bounds)
+        return flat
 
     @property
     @abc.abstractmethod
     def distance_scale_m(self) -> float:
         """Distance that is observed as 1."""
+
+
+def believable(state: np.ndarray) -> np.ndarray:
+    """A state as sensors see it: what is not finite, or absurdly large, is bounded.
+
+    A diverged world is observed too: its numbers need only be finite.
+    """
+    if is_within(state, LARGEST_SEEN):
+        return state
+    return np.clip(np.nan_to_num(state), -LARGEST_SEEN, LARGEST_SEEN)

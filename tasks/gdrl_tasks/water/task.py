@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
 
+from gdrl_tasks.checks import (
+    as_tuple,
+    check_choice,
+    check_count,
+    check_flag,
+    check_range,
+    check_times,
+)
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull
@@ -34,6 +41,8 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
 DISCRETE_COMMANDS = np.array(
     [[1.0, -1.0], [1.0, 0.0], [1.0, 0.7], [1.0, 1.0], [0.7, 1.0], [0.0, 1.0], [-1.0, 1.0]]
 )
+
+FASTEST_M_S = 4.0
 
 EXTRA_OBSERVATIONS: dict[str, tuple[int, float, float]] = {
     "velocity": (3, -10.0, 10.0),
@@ -71,35 +80,32 @@ class WaterOptions:
     wave_components: int = 12
 
     def __post_init__(self) -> None:
-        _check_choice("difficulty", self.difficulty, DIFFICULTIES)
+        check_choice("difficulty", self.difficulty, DIFFICULTIES)
         for name, value in DIFFICULTIES[self.difficulty].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
-        _check_choice("reward", self.reward, ("sparse", "dense"))
-        _check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
-        _check_choice("actions", self.actions, ("continuous", "discrete"))
-        extras = _as_tuple("extra_observations", self.extra_observations)
+        check_choice("reward", self.reward, ("sparse", "dense"))
+        check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
+        check_choice("actions", self.actions, ("continuous", "discrete"))
+        extras = as_tuple("extra_observations", self.extra_observations)
         object.__setattr__(self, "extra_observations", extras)
         for name in extras:
-            _check_choice("extra_observations", name, EXTRA_OBSERVATIONS)
-        if not isinstance(self.dead_zone_compensated, bool | np.bool_):
-            raise ValueError(
-                f"dead_zone_compensated={self.dead_zone_compensated!r} must be a bool"
-            )
+            check_choice("extra_observations", name, EXTRA_OBSERVATIONS)
+        check_flag("dead_zone_compensated", self.dead_zone_compensated)
         self._check_goal()
         self._check_sea()
-        self._check_times()
+        check_times(self.control_interval_s, self.substep_s, self.step_limit)
 
     def _check_goal(self) -> None:
-        distances = _as_tuple("goal_distance_m", self.goal_distance_m)
+        distances = as_tuple("goal_distance_m", self.goal_distance_m)
         for distance in distances:
-            _check_range("goal_distance_m", distance, above=0.0, most=1e4)
+            check_range("goal_distance_m", distance, above=0.0, most=1e4)
         if len(distances) != 2 or distances[0] > distances[1]:
             raise ValueError(f"goal_distance_m={distances} must be (nearest, farthest)")
         low, high = float(distances[0]), float(distances[1])
         object.__setattr__(self, "goal_distance_m", (low, high))
         tolerance = self.goal_tolerance_m
-        _check_range("goal_tolerance_m", tolerance, above=0.0)
+        check_range("goal_tolerance_m", tolerance, above=0.0)
         if tolerance is not None and tolerance >= low:
             raise ValueError(
                 f"goal_tolerance_m={tolerance} must be below the nearest "
@@ -107,25 +113,14 @@ class WaterOptions:
             )
 
     def _check_sea(self) -> None:
-        _check_choice("sea", self.sea, waves.SEAS)
+        check_choice("sea", self.sea, waves.SEAS)
         if self.significant_wave_height_m is not None:
             height = self.significant_wave_height_m
-            _check_range("significant_wave_height_m", height, least=0.0, most=2.0)
+            check_range("significant_wave_height_m", height, least=0.0, most=2.0)
         if self.peak_period_s is not None:
-            _check_range("peak_period_s", self.peak_period_s, least=0.4, most=1e5)
-        _check_range("current_m_s", self.current_m_s, least=0.0, most=5.0)
-        _check_count("wave_components", self.wave_components, most=1000)
-
-    def _check_times(self) -> None:
-        _check_range("control_interval_s", self.control_interval_s, above=0.0, most=10.0)
-        _check_range("substep_s", self.substep_s, least=1e-4, most=0.1)
-        ratio = self.control_interval_s / self.substep_s
-        if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise ValueError(
-                f"control_interval_s={self.control_interval_s} must be a multiple of "
-                f"substep_s={self.substep_s}"
-            )
-        _check_count("step_limit", self.step_limit)
+            check_range("peak_period_s", self.peak_period_s, least=0.4, most=1e5)
+        check_range("current_m_s", self.current_m_s, least=0.0, most=5.0)
+        check_count("wave_components", self.wave_components, most=1000)
 
 
 class WaterTask(NavigationTask):
@@ -159,7 +154,6 @@ class WaterTask(NavigationTask):
         }
         for extra in options.extra_observations:
             observation[extra] = EXTRA_OBSERVATIONS[extra]
-        farthest = self.goal_distance_m[1]
         is_discrete = options.actions == "discrete"
         self.spec = TaskSpec(
             observation=observation,
@@ -168,10 +162,10 @@ class WaterTask(NavigationTask):
             control_interval_s=options.control_interval_s,
             substep_s=options.substep_s,
             step_limit=options.step_limit,
-            reward_range=(
-                -1.0 - farthest * self.progress_weight,
-                1.0 + farthest * self.progress_weight,
-            ),
+            # Far above what thrust, waves and current can do to it.
+            running_reward_limit=self.progress_weight
+            * (FASTEST_M_S + options.current_m_s)
+            * options.control_interval_s,
         )
         self._constants = hull_constants(self.hull)
 
@@ -291,12 +285,6 @@ class WaterTask(NavigationTask):
             self.options.dead_zone_compensated,
         )
 
-    def planar_pose(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position ``[K, 2]`` and heading ``[K]`` of the hull."""
-        w, x, y, z = qpos[:, 3:7].T
-        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return qpos[:, :2], yaw
-
     def observe_extra(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
     ) -> dict[str, np.ndarray]:
@@ -314,36 +302,3 @@ class WaterTask(NavigationTask):
         if "time_left" in extras:
             values["time_left"] = 1.0 - arrays["steps"][ids] / self.spec.step_limit
         return values
-
-
-def _as_tuple(name: str, values: Any) -> tuple:
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise ValueError(f"{name}={values!r} must be a sequence")
-    return tuple(values)
-
-
-def _check_choice(name: str, value: Any, choices: Any) -> None:
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
-
-
-def _check_count(name: str, value: int, *, most: float = math.inf) -> None:
-    if not isinstance(value, int | np.integer):
-        raise ValueError(f"{name}={value!r} must be an integer")
-    _check_range(name, value, least=1, most=most)
-
-
-def _check_range(
-    name: str,
-    value: Any,
-    *,
-    above: float = -math.inf,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> None:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not (above < value and least <= value <= most) or value == math.inf:
-        bounds = [f"> {above}"] if above > -math.inf else []
-        bounds += [f">= {least}"] if least > -math.inf else []
-        bounds += [f"<= {most}"] if most < math.inf else []
-        raise ValueError(f"{name}={value!r} must be {' and '.join(bounds)}")

@@ -1,0 +1,235 @@
+"""Prioritised replay, shared by an agent and populations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import LazyTensorStorage, PrioritizedSampler, TensorDictReplayBuffer
+from torchrl.data.replay_buffers import Storage
+
+STALE = ("td_error", "index", "priority_weight")
+"""What a buffer and a loss write into samples: nothing of it holds for a new item."""
+
+
+class BatchWeightSampler(PrioritizedSampler):
+    """Prioritised sampling with weights relative to the largest of their batch.
+
+    The weights are ``(min(p) / p_i)^beta`` (arXiv 1511.05952, section 3.4, with the
+    maximum over the batch, as in Dopamine's Rainbow). TorchRL takes the smallest
+    probability of the whole buffer: one transition that is learnt perfectly then makes
+    every weight, and with it every step of the optimiser, small.
+    """
+
+    def sample(self, storage: Storage, batch_size: int) -> Any:
+        """Draw indices and their weights ``[B]``, of which the largest is 1."""
+        drawn: Any = super().sample(storage, batch_size)
+        index, info = drawn
+        weight = info["priority_weight"]
+        return index, {**info, "priority_weight": weight / weight.max()}
+
+
+def make_prioritized_buffer(
+    capacity: int,
+    *,
+    alpha: float,
+    beta: float,
+    batch_size: int,
+    seed: int,
+    eps: float = 1e-6,
+    weights_relative_to_batch: bool = True,
+) -> TensorDictReplayBuffer:
+    """Make a prioritised replay buffer (proportional variant of arXiv 1511.05952).
+
+    Its draws depend on ``seed`` alone, not on the global state of NumPy or torch. New
+    items get the largest priority that ever was. ``buffer.sampler.beta`` may be changed
+    at any time.
+
+    Args:
+        capacity: Transitions that it holds; the oldest are overwritten.
+        alpha: Exponent of the priorities, 0 for uniform draws.
+        beta: Exponent of the importance weights, 1 for full correction.
+        batch_size: Transitions per sample.
+        seed: Seed of its draws.
+        eps: Added to every priority, so that none is 0.
+        weights_relative_to_batch: Whether weights are divided by the largest of the
+            batch; by the largest of the whole buffer otherwise.
+
+    Returns:
+        A buffer for flat transitions ``[N]``; a sample ``[B]`` has ``index`` and
+        ``priority_weight`` ``[B]``, and ``update_tensordict_priority`` reads
+        ``td_error`` from it.
+
+    Raises:
+        ValueError: If a value is out of range.
+
+    Examples:
+        >>> buffer = make_prioritized_buffer(
+        ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
+        ... )
+        >>> _ = buffer.extend(TensorDict(observation=torch.zeros(9, 3), batch_size=[9]))
+        >>> buffer.sample()["priority_weight"]
+        tensor([1., 1., 1., 1.])
+    """
+    for name, value in (("capacity", capacity), ("batch_size", batch_size)):
+        if value < 1:
+            raise ValueError(f"{name} must be at least 1: {value}")
+    if eps <= 0.0:
+        raise ValueError(f"eps must be positive: {eps}")
+    kind = BatchWeightSampler if weights_relative_to_batch else PrioritizedSampler
+    # The wheels of TorchRL have segment trees for the CPU only.
+    sampler = kind(capacity, alpha=alpha, beta=beta, eps=eps, device="cpu")
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(capacity),
+        sampler=sampler,
+        batch_size=batch_size,
+        priority_key="td_error",
+        # Without one the sampler draws from NumPy's global state.
+        generator=torch.Generator().manual_seed(seed),
+    )
+
+
+def random_share(
+    transitions: TensorDictBase,
+    share: float,
+    generator: torch.Generator,
+    *,
+    at_most: int | None = None,
+) -> TensorDictBase:
+    """Choose a random share of transitions ``[N]``, without replacement.
+
+    Args:
+        transitions: Transitions ``[N]``.
+        share: Share to keep; ``round(share * N)`` are.
+        generator: Source of randomness.
+        at_most: Fewer are kept if there would be more than this.
+
+    Returns:
+        Copies ``[K]``, in their old order.
+
+    Raises:
+        ValueError: If the share is outside ``[0, 1]``.
+
+    Examples:
+        >>> rows = TensorDict(number=torch.arange(10), batch_size=[10])
+        >>> random_share(rows, 0.3, torch.Generator().manual_seed(0)).batch_size
+        torch.Size([3])
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"share must be in [0, 1]: {share}")
+    total = transitions.batch_size[0]
+    count = round(share * total) if at_most is None else min(round(share * total), at_most)
+    order = torch.randperm(total, generator=generator)
+    return transitions[order[:count].sort().values]
+
+
+def share_experience(
+    buffer: TensorDictReplayBuffer,
+    transitions: TensorDictBase,
+    n_step: Callable[[TensorDictBase], TensorDictBase],
+    share: float,
+    generator: torch.Generator,
+) -> int:
+    """Put a random share of other policies' transitions into a buffer.
+
+    The windows over several steps are made first, of whole episodes; choosing first
+    would join steps that did not follow each other. All that enter get the largest
+    priority. If the share exceeds the buffer's capacity, a random part of that size
+    enters.
+
+    Args:
+        buffer: A buffer of :func:`make_prioritized_buffer`.
+        transitions: Whole episodes ``[T]`` or ``[W, T]``. Not modified.
+        n_step: An :class:`~gdrl_torchrl.data.n_step.NStep`.
+        share: Share of the transitions that enters.
+        generator: Source of randomness.
+
+    Returns:
+        How many transitions entered.
+
+    Raises:
+        ValueError: If the share is outside ``[0, 1]``.
+    """
+    windows = n_step(transitions).exclude(*STALE)
+    # Beyond its capacity a buffer would write several items to one place.
+    sampler: Any = buffer.sampler
+    chosen = random_share(windows, share, generator, at_most=sampler.max_size)
+    count = chosen.batch_size[0]
+    if count:  # extending by nothing is an error
+        buffer.extend(chosen)
+    return count
+
+
+def buffer_state(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
+    """Copy what a buffer's future draws depend on: items, priorities, cursor, randomness.
+
+    The buffer's own ``state_dict`` has the segment trees as C++ objects, which only
+    pickle can write, and the unused part of the storage.
+
+    Args:
+        buffer: A buffer of :func:`make_prioritized_buffer`.
+
+    Returns:
+        Nested dicts of tensors and plain values.
+    """
+    sampler: Any = buffer.sampler
+    count = len(buffer)
+    items = buffer.storage[:count].clone() if count else TensorDict()
+    rows = torch.arange(count)
+    return {
+        "items": items.to_dict(),
+        "count": count,
+        "priorities": torch.as_tensor(sampler._sum_tree[rows]) if count else None,
+        # A value and an index, or twice None.
+        "max_priority": [_plain(value) for value in sampler._max_priority],
+        "alpha": sampler.alpha,
+        "beta": sampler.beta,
+        "capacity": sampler.max_size,
+        "writer": dict(buffer.writer.state_dict()),
+        "generator": _generator(buffer).get_state(),
+    }
+
+
+def load_buffer_state(buffer: TensorDictReplayBuffer, state: Mapping[str, Any]) -> None:
+    """Return a buffer to a state of :func:`buffer_state`.
+
+    Args:
+        buffer: A buffer with the same capacity and exponent ``alpha``; what it holds is
+            forgotten.
+        state: The state.
+
+    Raises:
+        ValueError: If capacity or ``alpha`` differ.
+    """
+    sampler: Any = buffer.sampler
+    own = {"capacity": sampler.max_size, "alpha": sampler.alpha}
+    for name, value in own.items():
+        if state[name] != value:
+            raise ValueError(f"{name} is {value}, that of the state {state[name]}")
+    buffer.empty()
+    count = state["count"]
+    if count:
+        items = TensorDict(state["items"], batch_size=[count])
+        # Not through the writer: it would count these items as new ones.
+        rows: Any = torch.arange(count)
+        buffer.storage.set(rows, items)
+        # The leaves determine the trees: every node is recomputed from its children.
+        sampler._sum_tree[rows] = state["priorities"]
+        sampler._min_tree[rows] = state["priorities"]
+    buffer.writer.load_state_dict(dict(state["writer"]))
+    sampler._max_priority = tuple(state["max_priority"])
+    sampler.beta = state["beta"]
+    _generator(buffer).set_state(state["generator"].to(torch.uint8))
+
+
+def _generator(buffer: TensorDictReplayBuffer) -> torch.Generator:
+    generator: Any = buffer._rng
+    if generator is None:
+        raise ValueError("the buffer has no generator: make it by make_prioritized_buffer")
+    return generator
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, torch.Tensor) else value

@@ -1,0 +1,234 @@
+"""The Rainbow agent of a run: what collects, replays and learns."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.data import Categorical, TensorDictReplayBuffer
+from torchrl.envs import EnvBase
+from torchrl.modules import DistributionalQValueActor, EGreedyModule
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import OptimizationStepper
+
+from gdrl_tasks import NavigationTask
+from gdrl_torchrl import keys
+from gdrl_torchrl.config.schema import ExperimentConfig, RainbowConfig
+from gdrl_torchrl.data.n_step import NStep
+from gdrl_torchrl.data.replay import (
+    buffer_state,
+    load_buffer_state,
+    make_prioritized_buffer,
+    share_experience,
+)
+from gdrl_torchrl.modules.q_network import make_q_actor
+from gdrl_torchrl.objectives.rainbow import (
+    RainbowLoss,
+    resample_noise,
+    soft_update_target,
+)
+from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent
+
+
+def make_rainbow_actor(
+    task: NavigationTask, config: ExperimentConfig
+) -> DistributionalQValueActor:
+    """The greedy policy of a run; its support holds every return of the task.
+
+    Raises:
+        ValueError: If the task's actions are continuous.
+    """
+    if not task.spec.is_discrete:
+        raise ValueError(
+            f"task.actions={config.task.actions!r}: algorithm.name="
+            f"{config.algorithm.name!r} needs task.actions=discrete"
+        )
+    algorithm: RainbowConfig = config.algorithm
+    return make_q_actor(
+        task.spec.observation_size,
+        task.spec.action_size,
+        value_range=task.spec.return_range(algorithm.gamma),
+        num_atoms=algorithm.num_atoms,
+        num_cells=tuple(config.network.actor_cells),
+        activation=ACTIVATIONS[config.network.activation],
+        noisy=algorithm.exploration == "noisy",
+        noisy_std=algorithm.noisy_std,
+    )
+
+
+class RainbowLearner(OptimizationStepper):
+    """Feeds the replay buffer, and makes one update per minibatch.
+
+    As a stepper it does what a trainer's separate hooks would do in the wrong order or
+    not at all: loss, gradient, target network, noise, priorities and the annealing of
+    beta.
+
+    Args:
+        loss: The loss, with its target network.
+        optimizer: Optimiser of its parameters.
+        buffer: The prioritised buffer.
+        config: Rainbow's settings.
+        seed: Seed of the choice among other policies' transitions.
+        exploration: The module whose epsilon decays, if there is one.
+    """
+
+    def __init__(
+        self,
+        loss: RainbowLoss,
+        optimizer: torch.optim.Optimizer,
+        buffer: TensorDictReplayBuffer,
+        config: RainbowConfig,
+        *,
+        seed: int,
+        exploration: EGreedyModule | None = None,
+    ) -> None:
+        self.loss, self.optimizer, self.buffer = loss, optimizer, buffer
+        self.config = config
+        self.exploration = exploration
+        self.n_step = NStep(config.gamma, config.num_steps)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.num_updates = 0
+        self.num_episodes = 0
+        self._parameters = [
+            parameter
+            for group in optimizer.param_groups
+            for parameter in group["params"]
+        ]
+        self._anneal()
+
+    def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
+        """Register with a trainer: batches are stored, minibatches drawn."""
+        super().register(trainer, name)
+        trainer.register_op("batch_process", self.store)
+        trainer.register_op("process_optim_batch", self.draw)
+
+    def store(self, batch: TensorDictBase) -> TensorDictBase:
+        """Put a batch ``[W, T]`` into the buffer; epsilon decays by ended episode."""
+        self.buffer.extend(self.n_step(batch))
+        self.num_episodes += int(batch["next", keys.DONE].sum())
+        self._anneal()
+        return batch
+
+    def draw(self, batch: TensorDictBase) -> TensorDictBase:
+        """A minibatch.
+
+        Raises:
+            StopIteration: While the buffer warms up; a trainer then goes on collecting.
+        """
+        if len(self.buffer) < self.config.warmup_steps:
+            raise StopIteration
+        return self.buffer.sample()
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """One update; the losses by name, detached."""
+        resample_noise(self.loss)
+        losses = self.loss(sub_batch)
+        losses["loss"].backward()
+        norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+        soft_update_target(self.loss, self.config.target_tau)
+        self.buffer.update_tensordict_priority(sub_batch)
+        self.num_updates += 1
+        self._anneal()
+        return losses.detach().set("grad_norm", norm)
+
+    def share(self, transitions: TensorDictBase, share: float) -> int:
+        """Take a share of whole episodes ``[T]`` of other policies into the buffer."""
+        return share_experience(
+            self.buffer, transitions, self.n_step, share, self.generator
+        )
+
+    def _anneal(self) -> None:
+        config = self.config
+        sampler: Any = self.buffer.sampler
+        beta = config.replay_beta + config.replay_beta_increment * self.num_updates
+        sampler.beta = min(1.0, beta)
+        if self.exploration is not None:
+            epsilon = config.epsilon_start * config.epsilon_decay**self.num_episodes
+            self.exploration.eps.fill_(max(config.epsilon_end, epsilon))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Buffer, counters and generator."""
+        return {
+            "buffer": buffer_state(self.buffer),
+            "num_updates": self.num_updates,
+            "num_episodes": self.num_episodes,
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        load_buffer_state(self.buffer, state_dict["buffer"])
+        self.num_updates = state_dict["num_updates"]
+        self.num_episodes = state_dict["num_episodes"]
+        self.generator.set_state(state_dict["generator"])
+        self._anneal()
+
+
+def make_rainbow_agent(
+    config: ExperimentConfig, task: NavigationTask, env: EnvBase
+) -> Agent:
+    """Build the agent and its trainer around an environment."""
+    algorithm: RainbowConfig = config.algorithm
+    actor = make_rainbow_actor(task, config)
+    loss = RainbowLoss(actor, gamma=algorithm.gamma)
+    optimizer = torch.optim.Adam(
+        list(loss.parameters()), lr=algorithm.learning_rate, eps=1e-4, fused=True
+    )
+    buffer = make_prioritized_buffer(
+        algorithm.replay_capacity,
+        alpha=algorithm.replay_alpha,
+        beta=algorithm.replay_beta,
+        batch_size=algorithm.minibatch_size,
+        seed=config.seed,
+    )
+    exploration = None
+    policy: Any = actor
+    if algorithm.exploration == "epsilon_greedy":
+        exploration = EGreedyModule(
+            Categorical(task.spec.action_size),
+            eps_init=algorithm.epsilon_start,
+            eps_end=algorithm.epsilon_end,
+        )
+        policy = TensorDictSequential(actor, exploration)
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=algorithm.frames_per_batch,
+        total_frames=-1,
+        auto_register_policy_transforms=False,
+    )
+    learner = RainbowLearner(
+        loss, optimizer, buffer, algorithm, seed=config.seed, exploration=exploration
+    )
+    with warnings.catch_warnings():
+        # TorchRL calls its trainers prototypes.
+        warnings.simplefilter("ignore")
+        trainer = Trainer(
+            collector=collector,
+            total_frames=NO_FRAME_LIMIT,
+            frame_skip=1,
+            optim_steps_per_batch=algorithm.updates_per_batch,
+            loss_module=loss,
+            optimizer=optimizer,
+            optimization_stepper=learner,
+            auto_log_optim_steps=False,
+            progress_bar=False,
+        )
+    return Agent(
+        actor,
+        loss,
+        optimizer,
+        collector,
+        trainer,
+        parts={"learner": learner},
+        follow_switch=functools.partial(soft_update_target, loss),
+        share_experience=learner.share,
+    )

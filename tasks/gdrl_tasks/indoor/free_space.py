@@ -1,0 +1,93 @@
+"""Where a robot can go in a layout: a grid of clearances and of distances to a goal."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from gdrl_tasks.indoor.kernel import clearances, fast_sweep
+from gdrl_tasks.indoor.obstacles import Shapes
+
+CELL_M = 0.1
+"""Side of a grid cell."""
+_MOST_ROUNDS = 16
+"""Rounds of four sweeps at most; a layout needs about three."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """Clearances of a layout on a grid.
+
+    Attributes:
+        x: Columns, metres, ``[C]``.
+        y: Rows, metres, ``[R]``.
+        clearance: Distance of each cell's middle to the nearest obstacle, ``[R, C]``.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    clearance: np.ndarray
+
+    @classmethod
+    def of(
+        cls, half_extent_m: tuple[float, float], shapes: Shapes, places: np.ndarray
+    ) -> FreeSpace:
+        """The grid over an arena around the origin.
+
+        Args:
+            half_extent_m: Half the arena's length and width.
+            shapes: The shapes.
+            places: Their places, ``[N, 4]``.
+        """
+        x, y = (_middles(half) for half in half_extent_m)
+        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        layouts = np.zeros(len(points), dtype=np.int64)
+        distance = clearances(
+            points, layouts, places[None], shapes.is_box, shapes.half_size
+        )
+        return cls(x, y, distance.reshape(len(y), len(x)))
+
+    def distances_to(
+        self, goal: np.ndarray, footprint_m: float, *, comfort_m: float = 0.0
+    ) -> np.ndarray:
+        """Lengths of the shortest ways of a disc's centre to a goal, metres, ``[R, C]``.
+
+        The eikonal equation |grad T| = 1 / speed, T(goal) = 0, by fast sweeping (Zhao
+        2005, https://doi.org/10.1090/S0025-5718-04-01678-3): like Dijkstra's algorithm,
+        but ways are not bound to the grid. Where T is finite there is a way: between
+        the middles of neighbouring free cells the disc always fits, for a free cell
+        has half a cell to spare.
+
+        Args:
+            goal: Position, metres, ``[2]``.
+            footprint_m: Radius of the disc.
+            comfort_m: Within this distance of an obstacle a step counts as up to five
+                times as long, so that ways keep off; 0 gives true lengths.
+
+        Returns:
+            Distances; infinite where the disc does not fit or cannot come from.
+        """
+        spare = self.clearance - footprint_m
+        speed = np.ones_like(spare)
+        if comfort_m > 0.0:
+            speed = np.clip(spare / comfort_m, 0.2, 1.0)
+        return fast_sweep(
+            spare < 0.5 * CELL_M,
+            speed,
+            goal[0] - self.x,
+            goal[1] - self.y,
+            CELL_M,
+            _MOST_ROUNDS,
+        )
+
+    def at(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Values of the cells that hold points ``[K, 2]``, ``[K]``."""
+        column = np.clip(np.rint((points[:, 0] - self.x[0]) / CELL_M), 0, len(self.x) - 1)
+        row = np.clip(np.rint((points[:, 1] - self.y[0]) / CELL_M), 0, len(self.y) - 1)
+        return values[row.astype(np.int64), column.astype(np.int64)]
+
+
+def _middles(half_m: float) -> np.ndarray:
+    count = round(2.0 * half_m / CELL_M)
+    return (np.arange(count) - 0.5 * (count - 1)) * CELL_M

@@ -1,0 +1,134 @@
+"""The arithmetic of robot and lidar as compiled loops.
+
+:func:`gdrl_tasks.indoor.obstacles.clearance` and the functions of
+:mod:`gdrl_tasks.indoor.lidar` are the definitions: tests hold them together.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def clearances(
+    points: np.ndarray,
+    layouts: np.ndarray,
+    places: np.ndarray,
+    is_box: np.ndarray,
+    half_size: np.ndarray,
+) -> np.ndarray:
+    """Distance of points ``[K, 2]`` to the nearest surface in their layouts, ``[K]``.
+
+    ``layouts`` ``[K]`` are rows of ``places`` ``[M, N, 4]``.
+    """
+    nearest = np.full(len(points), np.inf)
+    for k in range(len(points)):
+        for n in range(len(is_box)):
+            place = places[layouts[k], n]
+            dx, dy = points[k, 0] - place[0], points[k, 1] - place[1]
+            if is_box[n]:
+                over_x = abs(place[2] * dx + place[3] * dy) - half_size[n, 0]
+                over_y = abs(place[2] * dy - place[3] * dx) - half_size[n, 1]
+                if over_x > 0.0 and over_y > 0.0:
+                    distance = math.hypot(over_x, over_y)
+                else:
+                    distance = max(over_x, over_y)
+            else:
+                distance = math.hypot(dx, dy) - half_size[n, 0]
+            nearest[k] = min(nearest[k], distance)
+    return nearest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def ahead_of(position: np.ndarray, yaw: np.ndarray, distance: float) -> np.ndarray:
+    """Points ahead of (if negative, behind) positions ``[K, 2]``, ``[K, 2]``."""
+    points = np.empty((len(yaw), 2))
+    for k in range(len(yaw)):
+        points[k, 0] = position[k, 0] + distance * math.cos(yaw[k])
+        points[k, 1] = position[k, 1] + distance * math.sin(yaw[k])
+    return points
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def lidar_rays(
+    position: np.ndarray, yaw: np.ndarray, angles: np.ndarray, height: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origins ``[K, 3]`` and unit directions ``[K, B, 3]`` of beams in the world."""
+    origin = np.empty((len(yaw), 3))
+    direction = np.zeros((len(yaw), len(angles), 3))
+    for k in range(len(yaw)):
+        origin[k, 0], origin[k, 1], origin[k, 2] = position[k, 0], position[k, 1], height
+        for b in range(len(angles)):
+            direction[k, b, 0] = math.cos(yaw[k] + angles[b])
+            direction[k, b, 1] = math.sin(yaw[k] + angles[b])
+    return origin, direction
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def limit_ranges(ranges: np.ndarray, nearest: float, farthest: float) -> None:
+    """Turn hits ``[K, B]`` in place to what is reported; a miss is the farthest."""
+    for row in ranges:
+        for b in range(len(row)):
+            if row[b] < 0.0:
+                row[b] = farthest
+            row[b] = min(max(row[b], nearest), farthest)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fast_sweep(
+    blocked: np.ndarray,
+    speed: np.ndarray,
+    goal_dx: np.ndarray,
+    goal_dy: np.ndarray,
+    cell: float,
+    most_rounds: int,
+) -> np.ndarray:
+    """Arrival times from a goal on a grid of free cells, ``[R, C]``.
+
+    See :meth:`gdrl_tasks.indoor.free_space.FreeSpace.distances_to`; ``goal_dx`` ``[C]``
+    and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal.
+    """
+    rows, columns = blocked.shape
+    arrival = np.full((rows, columns), np.inf)
+    for r in range(rows):
+        for c in range(columns):
+            exact = math.hypot(goal_dx[c], goal_dy[r])
+            if exact <= 1.5 * cell and not blocked[r, c]:
+                arrival[r, c] = exact / speed[r, c]
+    unchanged = 0
+    for sweep in range(4 * most_rounds):
+        changed = False
+        for i in range(rows):
+            r = i if sweep % 4 < 2 else rows - 1 - i
+            for j in range(columns):
+                c = j if sweep % 2 == 0 else columns - 1 - j
+                if blocked[r, c]:
+                    continue
+                a, b = np.inf, np.inf
+                if r > 0:
+                    a = arrival[r - 1, c]
+                if r < rows - 1:
+                    a = min(a, arrival[r + 1, c])
+                if c > 0:
+                    b = arrival[r, c - 1]
+                if c < columns - 1:
+                    b = min(b, arrival[r, c + 1])
+                low, high = min(a, b), max(a, b)
+                if low == np.inf:
+                    continue
+                step = cell / speed[r, c]
+                if high - low >= step:
+                    new = low + step
+                else:
+                    gap = high - low
+                    new = 0.5 * (low + high + math.sqrt(2.0 * step * step - gap * gap))
+                if new < arrival[r, c] - 1e-9:
+                    arrival[r, c] = new
+                    changed = True
+        unchanged = 0 if changed else unchanged + 1
+        if unchanged == 4:
+            break
+    return arrival

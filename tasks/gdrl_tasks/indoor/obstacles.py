@@ -1,0 +1,89 @@
+"""Obstacles of a layout as arrays, and the distance to them.
+
+A layout is ``N`` upright shapes, boxes and cylinders, walls among them. Their sizes
+belong to the arena and never change; their places are an array ``[W, N, 4]`` of x, y
+(metres) and the cosine and sine of the yaw.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+ABSENT_M = 100.0
+"""Where shapes are put that a layout does not use, far beyond sight."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shapes:
+    """The shapes that an arena's layouts are made of."""
+
+    is_box: np.ndarray
+    """Mask of boxes, ``[N]``; the others are cylinders."""
+    half_size: np.ndarray
+    """Half length and half width, metres, ``[N, 2]``; a cylinder's radius, twice."""
+    height_m: float
+
+    def __len__(self) -> int:
+        return len(self.is_box)
+
+
+def make_shapes(
+    boxes: list[tuple[float, float]], radii: list[float], height_m: float
+) -> Shapes:
+    """Shapes from half sizes of boxes and radii of cylinders, in that order.
+
+    Examples:
+        >>> len(make_shapes([(1.0, 0.1)], [0.2, 0.3], height_m=0.3))
+        3
+    """
+    half_size = [*boxes, *((radius, radius) for radius in radii)]
+    is_box = np.arange(len(half_size)) < len(boxes)
+    return Shapes(is_box, np.array(half_size, dtype=float).reshape(-1, 2), height_m)
+
+
+def place(x: Any, y: Any, yaw: Any = 0.0) -> np.ndarray:
+    """Places of shapes, ``[..., 4]``, from x, y (metres) and yaw (radians).
+
+    Examples:
+        >>> place(1.0, 2.0).tolist()
+        [1.0, 2.0, 1.0, 0.0]
+    """
+    x, y, yaw = np.broadcast_arrays(x, y, yaw)
+    return np.stack([x, y, np.cos(yaw), np.sin(yaw)], axis=-1)
+
+
+def clearance(points: Any, places: Any, is_box: Any, half_size: Any) -> Any:
+    """Distance from points to the nearest surface, negative inside an obstacle.
+
+    Args:
+        points: Points, metres, ``[W, 2]``.
+        places: Places of the shapes around each point, ``[W, N, 4]``.
+        is_box: Mask of boxes, ``[N]``.
+        half_size: Half sizes, metres, ``[N, 2]``.
+
+    Returns:
+        Distances in metres, ``[W]``.
+
+    Examples:
+        >>> shapes = make_shapes([(1.0, 0.5)], [0.2], height_m=0.3)
+        >>> layout = place([0.0, 5.0], [0.0, 0.0])[None]
+        >>> clearance(
+        ...     np.array([[4.0, 0.0]]), layout, shapes.is_box, shapes.half_size
+        ... ).round(3)
+        array([0.8])
+    """
+    xp = array_namespace(points, places)
+    dx = points[:, None, 0] - places[..., 0]
+    dy = points[:, None, 1] - places[..., 1]
+    cosine, sine = places[..., 2], places[..., 3]
+    # In a box's own frame its surface is where one of these two is zero.
+    over_x = xp.abs(cosine * dx + sine * dy) - half_size[:, 0]
+    over_y = xp.abs(cosine * dy - sine * dx) - half_size[:, 1]
+    outside = xp.hypot(xp.clip(over_x, 0.0, None), xp.clip(over_y, 0.0, None))
+    box = outside + xp.clip(xp.maximum(over_x, over_y), None, 0.0)
+    cylinder = xp.hypot(dx, dy) - half_size[:, 0]
+    return xp.min(xp.where(is_box, box, cylinder), axis=-1)

@@ -1,0 +1,305 @@
+"""The TurtleBot3 Burger and the room around it as a MuJoCo model.
+
+Numbers are those of ROBOTIS' description (turtlebot3 da785b7) unless a comment says
+otherwise; see the README of this folder.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from gdrl_tasks.indoor.obstacles import ABSENT_M, Shapes
+
+WHEEL_RADIUS_M = 0.033
+WHEEL_SEPARATION_M = 0.160
+BODY_X_M = -0.032
+"""Middle of the body, and the lidar, behind the axle."""
+FOOTPRINT_M = 0.11
+"""Radius of the disc around the body's middle that holds body and wheels."""
+LIDAR_HEIGHT_M = 0.18
+BURGER_WHEEL_SPEED_M_S = 0.227
+"""Fastest rim speed of the Burger's wheels."""
+
+OBSTACLE_GROUP = 2
+"""Group of the geoms that the lidar sees: walls and obstacles."""
+
+_BODY_MASS_KG = 0.8257 + 0.114 + 0.005
+_WHEEL_MASS_KG = 0.0285
+_CENTRE_OF_MASS_Z_M = 0.06
+"""Over the floor: batteries and motors are low (an estimate)."""
+_BODY_SIZE_M = (0.138, 0.178, 0.143)
+_CASTER_X_M, _CASTER_RADIUS_M = -0.081, 0.005
+# Reflected inertia of a 258:1 gear motor (an estimate); with it the wheels answer a
+# command with the time constant of the servo, whatever the softness of the contact.
+_ROTOR_INERTIA_KG_M2 = 1e-3
+_SERVO_TIME_S = 0.03
+_STALL_TORQUE_NM = 1.4
+# Stiff, so that the weight does not press the wheels 2 % of their radius into the floor.
+_FLOOR_IMPEDANCE = [0.99, 0.999, 0.001, 0.5, 2.0]
+
+_FLOOR_BIT, _OBSTACLE_BIT = 1, 2
+_SCENERY = {"contype": 0, "conaffinity": 0, "group": 1}
+_DARK, _GREY = [0.16, 0.17, 0.19, 1.0], [0.45, 0.47, 0.5, 1.0]
+
+
+def model_xml(
+    shapes: Shapes,
+    *,
+    half_extent_m: tuple[float, float],
+    substep_s: float,
+    goal_tolerance_m: float,
+) -> str:
+    """The MuJoCo model: floor, walls and obstacles, goal, robot.
+
+    Places of walls and obstacles (``geom_pos``, ``geom_quat``) differ by world; geom
+    ``i`` of :func:`obstacle_geoms` is shape ``i``.
+
+    Args:
+        shapes: Walls and obstacles.
+        half_extent_m: Half the arena's length and width.
+        substep_s: Physics time step, seconds.
+        goal_tolerance_m: Radius of the disc drawn at the goal.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "indoor"
+    option = spec.option
+    option.timestep = substep_s
+    # The explicit integrator is unstable with these wheels at 0.02 s.
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    disable = mujoco.mjtDisableBit
+    # A diverged world must stay diverged for the task to see it, not start afresh.
+    option.disableflags |= disable.mjDSBL_AUTORESET
+    # Bounding volumes are those of the places at compilation, which are not the worlds'.
+    option.disableflags |= disable.mjDSBL_MIDPHASE
+    # One robot is one island: looking for more takes a tenth of the time.
+    option.disableflags |= disable.mjDSBL_ISLAND
+    _add_room(spec, shapes, half_extent_m, goal_tolerance_m)
+    _add_robot(spec)
+    spec.compile()
+    return spec.to_xml()
+
+
+def obstacle_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Numbers of the geoms of walls and obstacles, in the order of the shapes, ``[N]``."""
+    return np.flatnonzero(model.geom_group == OBSTACLE_GROUP)
+
+
+def _add_room(
+    spec: mujoco.MjSpec,
+    shapes: Shapes,
+    half_extent_m: tuple[float, float],
+    goal_tolerance_m: float,
+) -> None:
+    """Light, floor, walls and obstacles, the goal, and a camera over all of it."""
+    reach = max(half_extent_m)
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.visual.global_.offwidth = 1280
+    spec.visual.global_.offheight = 960
+    spec.stat.extent = reach
+    spec.stat.center = [0.0, 0.0, 0.0]
+    spec.visual.map.znear = 0.005
+    spec.visual.map.zfar = 40.0
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.72, 0.77, 0.82],
+        rgb2=[0.95, 0.96, 0.97],
+        width=64,
+        height=384,
+    )
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.83, 0.84, 0.85],
+        rgb2=[0.77, 0.78, 0.8],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(
+        name="floor", texrepeat=[1.0, 1.0], texuniform=True, specular=0.1
+    )
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    world = spec.worldbody
+    world.add_light(
+        name="lamp",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0.0, 0.0, 6.0],
+        dir=[0.25, 0.15, -1.0],
+        diffuse=[0.55, 0.54, 0.52],
+        specular=[0.2, 0.2, 0.2],
+    )
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        material="floor",
+        contype=_FLOOR_BIT,
+        conaffinity=0,
+        # The larger of two geoms' condim holds: the caster must stay without friction.
+        condim=1,
+    )
+    for number, (is_box, half_size) in enumerate(
+        zip(shapes.is_box, shapes.half_size, strict=True)
+    ):
+        shape = mujoco.mjtGeom
+        half_height = 0.5 * shapes.height_m
+        size = [half_size[0], half_size[1], half_height]
+        world.add_geom(
+            name=f"obstacle_{number}",
+            type=shape.mjGEOM_BOX if is_box else shape.mjGEOM_CYLINDER,
+            size=size if is_box else [half_size[0], half_height, 0.0],
+            pos=[ABSENT_M, ABSENT_M, half_height],
+            rgba=[0.62, 0.66, 0.7, 1.0] if number < 4 else [0.25, 0.45, 0.62, 1.0],
+            contype=_OBSTACLE_BIT,
+            conaffinity=0,
+            condim=1,
+            group=OBSTACLE_GROUP,
+        )
+    fovy = 45.0
+    height = (half_extent_m[1] + 0.3) / math.tan(0.5 * math.radians(fovy))
+    height = max(height, 0.75 * half_extent_m[0] / math.tan(0.5 * math.radians(fovy)))
+    world.add_camera(
+        name="top", pos=[0.0, 0.0, height], xyaxes=[1, 0, 0, 0, 1, 0], fovy=fovy
+    )
+    goal = world.add_body(name="goal", mocap=True)
+    for name, radius, half_height, opacity in (
+        ("goal_disc", goal_tolerance_m, 0.004, 0.8),
+        ("goal_pole", 0.012, 0.2, 1.0),
+    ):
+        goal.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[radius, half_height, 0.0],
+            pos=[0.0, 0.0, half_height],
+            rgba=[0.95, 0.3, 0.1, opacity],
+            **_SCENERY,
+        )
+
+
+def _add_robot(spec: mujoco.MjSpec) -> None:
+    """A free body on two driven wheels and a caster; its origin is the axle's middle."""
+    x, y, z = (side**2 for side in _BODY_SIZE_M)
+    body = spec.worldbody.add_body(
+        name="robot",
+        pos=[0.0, 0.0, WHEEL_RADIUS_M],
+        mass=_BODY_MASS_KG,
+        # Of a uniform box of the body's size.
+        inertia=np.round(np.array([y + z, x + z, x + y]) * _BODY_MASS_KG / 12.0, 6),
+        ipos=[BODY_X_M, 0.0, _CENTRE_OF_MASS_Z_M - WHEEL_RADIUS_M],
+        explicitinertial=True,
+    )
+    body.add_freejoint(name="robot")
+    # The footprint is a disc, so what touches is a sphere: its widest circle is the
+    # footprint, and spheres are the fastest shape against boxes and cylinders.
+    body.add_geom(
+        name="bumper",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[FOOTPRINT_M, 0.0, 0.0],
+        pos=[BODY_X_M, 0.0, FOOTPRINT_M + 0.01 - WHEEL_RADIUS_M],
+        contype=0,
+        conaffinity=_OBSTACLE_BIT,
+        condim=1,
+        mass=0.0,
+        group=4,
+    )
+    body.add_geom(
+        name="caster",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[_CASTER_RADIUS_M, 0.0, 0.0],
+        pos=[_CASTER_X_M, 0.0, _CASTER_RADIUS_M - WHEEL_RADIUS_M],
+        contype=0,
+        conaffinity=_FLOOR_BIT,
+        condim=1,
+        solimp=_FLOOR_IMPEDANCE,
+        mass=0.0,
+        group=4,
+    )
+    _add_looks(body)
+    gain = _ROTOR_INERTIA_KG_M2 + 0.5 * 1.05 * WHEEL_RADIUS_M**2
+    gain = round(gain / _SERVO_TIME_S, 4)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        wheel = body.add_body(
+            name=f"{side}_wheel",
+            pos=[0.0, sign * 0.5 * WHEEL_SEPARATION_M, 0.0],
+            mass=_WHEEL_MASS_KG,
+            inertia=[8e-6, 1.6e-5, 8e-6],
+            ipos=[0.0, 0.0, 0.0],
+            explicitinertial=True,
+        )
+        wheel.add_joint(
+            name=f"{side}_wheel",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0.0, 1.0, 0.0],
+            armature=_ROTOR_INERTIA_KG_M2,
+        )
+        # A sphere touches the floor in one point, half the separation from the middle.
+        wheel.add_geom(
+            name=f"{side}_tyre",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[WHEEL_RADIUS_M, 0.0, 0.0],
+            contype=0,
+            conaffinity=_FLOOR_BIT,
+            condim=3,
+            solimp=_FLOOR_IMPEDANCE,
+            mass=0.0,
+            group=4,
+        )
+        wheel.add_geom(
+            name=f"{side}_rim",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[WHEEL_RADIUS_M, 0.009, 0.0],
+            quat=[math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0],
+            rgba=_DARK,
+            mass=0.0,
+            **_SCENERY,
+        )
+        servo = spec.add_actuator(
+            name=f"{side}_wheel",
+            target=f"{side}_wheel",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            forcelimited=True,
+            forcerange=[-_STALL_TORQUE_NM, _STALL_TORQUE_NM],
+        )
+        servo.set_to_velocity(kv=gain)
+
+
+def _add_looks(body: mujoco.MjsBody) -> None:
+    """Three decks on pillars, the lidar on top, and a camera behind."""
+    body.add_camera(
+        name="chase",
+        pos=[-1.15, 0.0, 0.85],
+        xyaxes=[0.0, -1.0, 0.0, 0.55, 0.0, 0.84],
+        fovy=55.0,
+    )
+    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+    decks = [0.02, 0.062, 0.104]
+    parts = [(f"deck_{i}", box, [0.068, 0.068, 0.005], z, _DARK) for i, z in enumerate(decks)]
+    parts += [("core", box, [0.05, 0.055, 0.05], 0.06, _GREY)]
+    parts += [("lidar", cylinder, [0.035, 0.018, 0.0], LIDAR_HEIGHT_M - 0.055, _DARK)]
+    for name, shape, size, z, colour in parts:
+        body.add_geom(
+            name=name,
+            type=shape,
+            size=size,
+            pos=[BODY_X_M, 0.0, z],
+            rgba=colour,
+            mass=0.0,
+            **_SCENERY,
+        )
+    body.add_geom(
+        name="bow",
+        type=box,
+        size=[0.012, 0.04, 0.007],
+        pos=[BODY_X_M + 0.058, 0.0, 0.106],
+        rgba=[0.95, 0.77, 0.1, 1.0],
+        mass=0.0,
+        **_SCENERY,
+    )

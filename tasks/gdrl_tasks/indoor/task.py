@@ -1,0 +1,264 @@
+"""The indoor task: drive a wheeled robot with a lidar through a walled arena to a goal."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from gdrl_tasks.checks import (
+    as_tuple,
+    check_choice,
+    check_count,
+    check_flag,
+    check_range,
+    check_times,
+)
+from gdrl_tasks.indoor import lidar
+from gdrl_tasks.indoor.arena import ARENAS
+from gdrl_tasks.indoor.kernel import ahead_of, clearances, lidar_rays, limit_ranges
+from gdrl_tasks.indoor.robot import (
+    BODY_X_M,
+    BURGER_WHEEL_SPEED_M_S,
+    FOOTPRINT_M,
+    LIDAR_HEIGHT_M,
+    WHEEL_RADIUS_M,
+    WHEEL_SEPARATION_M,
+    model_xml,
+    obstacle_geoms,
+)
+from gdrl_tasks.task import (
+    CastRays,
+    Episode,
+    NavigationTask,
+    TaskSpec,
+    WorldArrays,
+    WorldIndex,
+)
+
+COLLISION_MARGIN_M = 0.005
+"""A footprint this near to an obstacle touches it: walls are solid."""
+DISTANCE_SCALE_M = 5.0
+_FARTHEST_SEEN = 4.0
+"""Largest goal distance that is observed, in units of the scale."""
+_OVERSHOOT = 1.2
+"""Largest speed over the commanded one, with room to spare."""
+
+
+@dataclasses.dataclass(frozen=True)
+class IndoorOptions:
+    """Options of the indoor task."""
+
+    arena: Literal["paper", "scatter", "corridor"] = "paper"
+    actions: Literal["discrete", "continuous"] = "discrete"
+    """``discrete`` drives at ``speed_m_s`` and chooses one of ``turn_rates_deg_s``;
+    ``continuous`` is (speed, turn rate), each in [-1, 1]: standing still to
+    ``speed_m_s``, and the largest turn rate to the right and to the left."""
+    speed_m_s: float = 0.15
+    turn_rates_deg_s: tuple[float, ...] = (-90.0, -45.0, 0.0, 45.0, 90.0)
+    wheel_speed_limit: Literal["burger"] | None = None
+    """``burger`` caps each wheel at 0.227 m/s, slowing both by the same factor; None
+    drives as commanded, as the papers' simulators do."""
+    goal_tolerance_m: float = 0.15
+    num_beams: int = 19
+    field_of_view_deg: float = 180.0
+    range_noise: bool = False
+    """Whether ranges have the errors of the LDS-01's precision."""
+    scan_hold: bool = False
+    """Whether the lidar scans at 5 Hz, so that some steps see an old scan."""
+    at_limit: Literal["terminated", "truncated"] = "terminated"
+    """Whether the step limit is part of the task (-1) or cuts the episode off."""
+    control_interval_s: float = 0.12
+    substep_s: float = 0.02
+    step_limit: int | None = None
+    """None takes the arena's: 500, in the corridor 1,000."""
+
+    def __post_init__(self) -> None:
+        check_choice("arena", self.arena, ARENAS)
+        check_choice("actions", self.actions, ("discrete", "continuous"))
+        check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
+        check_range("speed_m_s", self.speed_m_s, above=0.0, most=1.0)
+        rates = as_tuple("turn_rates_deg_s", self.turn_rates_deg_s)
+        object.__setattr__(self, "turn_rates_deg_s", rates)
+        for rate in rates:
+            check_range("turn_rates_deg_s", rate, least=-180.0, most=180.0)
+        if len(set(rates)) != len(rates) or len(rates) < 2:
+            raise ValueError(f"turn_rates_deg_s={rates} must be two different ones or more")
+        if self.wheel_speed_limit is not None:
+            check_choice("wheel_speed_limit", self.wheel_speed_limit, ("burger",))
+        check_range("goal_tolerance_m", self.goal_tolerance_m, above=0.0, most=0.5)
+        check_count("num_beams", self.num_beams, most=360)
+        check_range("field_of_view_deg", self.field_of_view_deg, above=0.0, most=360.0)
+        check_flag("range_noise", self.range_noise)
+        check_flag("scan_hold", self.scan_hold)
+        if self.step_limit is None:
+            object.__setattr__(self, "step_limit", ARENAS[self.arena].step_limit)
+        check_times(self.control_interval_s, self.substep_s, self.step_limit)
+
+
+class IndoorTask(NavigationTask):
+    """A TurtleBot3 Burger in an arena; see the README of this folder for the model.
+
+    Examples:
+        >>> task = IndoorTask(IndoorOptions(num_beams=13))
+        >>> task.spec.observation_size, task.spec.num_substeps, task.spec.action_size
+        (15, 6, 5)
+    """
+
+    name = "indoor"
+    model_fields = ("geom_pos", "geom_quat")
+    has_rays = True
+
+    def __init__(self, options: IndoorOptions | None = None) -> None:
+        self.options = options = options or IndoorOptions()
+        assert options.step_limit is not None
+        self.arena = ARENAS[options.arena]()
+        self.goal_tolerance_m = options.goal_tolerance_m
+        self.progress_weight = 10.0
+        self.truncates_at_limit = options.at_limit == "truncated"
+        is_discrete = options.actions == "discrete"
+        self.spec = TaskSpec(
+            observation={
+                "goal_distance": (1, 0.0, _FARTHEST_SEEN),
+                "goal_bearing": (1, -1.0, 1.0),
+                "lidar": (options.num_beams, 0.0, 1.0),
+            },
+            action_size=len(options.turn_rates_deg_s) if is_discrete else 2,
+            is_discrete=is_discrete,
+            control_interval_s=options.control_interval_s,
+            substep_s=options.substep_s,
+            step_limit=options.step_limit,
+            running_reward_limit=self.progress_weight
+            * _OVERSHOOT
+            * options.speed_m_s
+            * options.control_interval_s,
+        )
+        self._angles = lidar.beam_angles(options.num_beams, options.field_of_view_deg)
+        self._turn_rates = np.radians(options.turn_rates_deg_s)
+        speeds = np.full(len(self._turn_rates), options.speed_m_s)
+        self._discrete = self.wheel_rates(speeds, self._turn_rates)
+        self._geoms = obstacle_geoms(mujoco.MjModel.from_xml_string(self.xml()))
+
+    @property
+    def distance_scale_m(self) -> float:
+        """The same in every arena, so that a policy can move between them."""
+        return DISTANCE_SCALE_M
+
+    def xml(self) -> str:
+        """The arena and the robot."""
+        return model_xml(
+            self.arena.shapes,
+            half_extent_m=self.arena.half_extent_m,
+            substep_s=self.spec.substep_s,
+            goal_tolerance_m=self.goal_tolerance_m,
+        )
+
+    def extra_arrays(self, num_worlds: int) -> WorldArrays:
+        """Wheel speeds, obstacles and the last scan."""
+        return {
+            "control": np.zeros((num_worlds, 2)),
+            "obstacles": np.zeros((num_worlds, len(self.arena.shapes), 4)),
+            "scan": np.zeros((num_worlds, self.options.num_beams)),
+            "scan_number": np.zeros(num_worlds, dtype=np.int64),
+        }
+
+    def draw_episode(self, seed: int) -> Episode:
+        """A layout, a start at rest and a goal."""
+        generator = np.random.default_rng(seed)
+        footprint = FOOTPRINT_M + COLLISION_MARGIN_M
+        scene = self.arena.draw(generator, footprint, self.goal_tolerance_m)
+        ahead = np.array([math.cos(scene.heading_rad), math.sin(scene.heading_rad)])
+        qpos = np.zeros(9)
+        qpos[:2] = scene.start - BODY_X_M * ahead
+        qpos[2] = WHEEL_RADIUS_M
+        qpos[3] = math.cos(0.5 * scene.heading_rad)
+        qpos[6] = math.sin(0.5 * scene.heading_rad)
+        arrays = {
+            "goal": scene.goal,
+            "obstacles": scene.places,
+            "shortest_path": scene.shortest_path_m,
+        }
+        return Episode(qpos=qpos, qvel=np.zeros(8), arrays=arrays)
+
+    def write_model_fields(
+        self, fields: Mapping[str, np.ndarray], arrays: WorldArrays, ids: WorldIndex
+    ) -> None:
+        """Put walls and obstacles where the episode has them."""
+        places = arrays["obstacles"][ids]
+        rows = ids[:, None]
+        fields["geom_pos"][rows, self._geoms, :2] = places[..., :2]
+        half_yaw = 0.5 * np.arctan2(places[..., 3], places[..., 2])
+        fields["geom_quat"][rows, self._geoms, 0] = np.cos(half_yaw)
+        fields["geom_quat"][rows, self._geoms, 3] = np.sin(half_yaw)
+
+    def set_action(self, arrays: WorldArrays, ids: WorldIndex, action: Any) -> None:
+        """Wheel speeds of indices of turn rates ``[K]``, or of (v, omega) ``[K, 2]``."""
+        if self.spec.is_discrete:
+            arrays["control"][ids] = self._discrete[np.asarray(action, dtype=np.int64)]
+            return
+        action = np.clip(action, -1.0, 1.0)
+        speed = 0.5 * (action[:, 0] + 1.0) * self.options.speed_m_s
+        fastest_turn = np.abs(self._turn_rates).max()
+        arrays["control"][ids] = self.wheel_rates(speed, action[:, 1] * fastest_turn)
+
+    def wheel_rates(self, speed_m_s: np.ndarray, turn_rad_s: np.ndarray) -> np.ndarray:
+        """Rates of the left and right wheel, rad/s, ``[K, 2]``, as far as they go."""
+        difference = 0.5 * WHEEL_SEPARATION_M * turn_rad_s
+        rims = np.stack([speed_m_s - difference, speed_m_s + difference], axis=-1)
+        if self.options.wheel_speed_limit is not None:
+            fastest = np.abs(rims).max(axis=1, keepdims=True)
+            rims *= np.minimum(1.0, BURGER_WHEEL_SPEED_M_S / np.maximum(fastest, 1e-9))
+        return rims / WHEEL_RADIUS_M
+
+    def body_centre(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Middle of the footprint, and the lidar, ``[K, 2]``; heading ``[K]``."""
+        axle, yaw = self.planar_pose(qpos)
+        return ahead_of(axle, yaw, BODY_X_M), yaw
+
+    def collides(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+    ) -> np.ndarray:
+        """Mask of robots whose footprint touches a wall or an obstacle, ``[K]``."""
+        shapes = self.arena.shapes
+        centre, _ = self.body_centre(qpos)
+        room = clearances(
+            centre, ids, arrays["obstacles"], shapes.is_box, shapes.half_size
+        )
+        return room <= FOOTPRINT_M + COLLISION_MARGIN_M
+
+    def sense(
+        self,
+        arrays: WorldArrays,
+        ids: WorldIndex,
+        qpos: np.ndarray,
+        steps: np.ndarray,
+        cast_rays: CastRays,
+    ) -> None:
+        """Scan, where a new scan is due."""
+        number = steps
+        if self.options.scan_hold:
+            time_s = steps * self.spec.control_interval_s
+            number = np.floor(time_s / lidar.SCAN_INTERVAL_S + 1e-9).astype(np.int64)
+            due = (steps == 0) | (number > arrays["scan_number"][ids])
+            ids, qpos, number = ids[due], qpos[due], number[due]
+            if len(ids) == 0:
+                return
+        centre, yaw = self.body_centre(qpos)
+        origin, direction = lidar_rays(centre, yaw, self._angles, LIDAR_HEIGHT_M)
+        ranges = cast_rays(ids, origin, direction)
+        limit_ranges(ranges, lidar.NEAREST_M, lidar.FARTHEST_M)
+        if self.options.range_noise:
+            ranges += lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
+            np.clip(ranges, lidar.NEAREST_M, lidar.FARTHEST_M, out=ranges)
+        arrays["scan"][ids] = ranges
+        arrays["scan_number"][ids] = number
+
+    def observe_extra(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """The last scan, from right to left, in units of the farthest range."""
+        return {"lidar": arrays["scan"][ids] / lidar.FARTHEST_M}
