@@ -83,6 +83,18 @@ class RainbowLoss(DistributionalDQNLoss):
         # TorchRL looks for one of its updaters at every call and warns without one.
         self._has_update_associated["value_network"] = True
 
+    @property
+    def in_keys(self) -> list[Any]:
+        """What it must find; ``repr`` of TorchRL's own loss fails for want of them."""
+        names, observed = self.tensor_keys, list(self._network.in_keys)
+        flags = [("next", key) for key in (*observed, names.reward, names.terminated)]
+        return [*observed, names.action, *flags]
+
+    @property
+    def out_keys(self) -> list[Any]:
+        """What it returns."""
+        return ["loss", "q_mean", "clipped_mass"]
+
     def forward(self, input_tensordict: TensorDictBase) -> TensorDict:
         """Compute the loss of transitions ``[B]``.
 
@@ -95,12 +107,12 @@ class RainbowLoss(DistributionalDQNLoss):
         Raises:
             ValueError: If the batch has not one dimension.
         """
-        batch = input_tensordict
+        batch: Any = input_tensordict
         if batch.batch_dims != 1:
             raise ValueError(f"the batch must have one dimension: {batch.batch_size}")
         size, names = batch.batch_size[0], self.tensor_keys
-        following = batch.get("next")
-        support = self.value_network_params.get("support")
+        following = batch["next"]
+        support = self.value_network_params["support"]
 
         with self._online():
             logits = self._logits(batch)
@@ -114,15 +126,15 @@ class RainbowLoss(DistributionalDQNLoss):
             steps = batch.get(names.steps_to_next_obs, torch.ones(size))
             # Shapes are forced: [B] against [B, 1] would broadcast to [B, B], which
             # passes for [B, Z] if there are as many transitions as atoms.
-            goes_on = ~following.get(names.terminated).reshape(size, 1)
+            goes_on = ~following[names.terminated].reshape(size, 1)
             target, clipped = project(
                 values,
-                following.get(names.reward).reshape(size, 1),
+                following[names.reward].reshape(size, 1),
                 self.gamma ** steps.reshape(size, 1) * goes_on,
                 support,
             )
 
-        action = batch.get(names.action)
+        action = batch[names.action]
         if self.action_space == "one_hot":
             action = action.long().argmax(-1)
         log_values = _of_actions(logits, action.reshape(size)).log_softmax(-1)

@@ -111,9 +111,7 @@ def make_genetic_hook(
     if agent.follow_switch is not None:
         on_switch.append(functools.partial(agent.follow_switch, evolution.target_tau))
     if agent.share_experience is not None and evolution.experience_share > 0.0:
-        share = functools.partial(
-            agent.share_experience, share=evolution.experience_share
-        )
+        share = functools.partial(agent.share_experience, share=evolution.experience_share)
     return GeneticHook(
         agent.actor,
         evaluator,

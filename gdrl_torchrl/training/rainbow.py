@@ -96,9 +96,7 @@ class RainbowLearner(OptimizationStepper):
         self.num_updates = 0
         self.num_episodes = 0
         self._parameters = [
-            parameter
-            for group in optimizer.param_groups
-            for parameter in group["params"]
+            parameter for group in optimizer.param_groups for parameter in group["params"]
         ]
         self._anneal()
 

@@ -198,8 +198,18 @@ class SuiteTask(base.Task):
             model, data = physics.model.ptr, physics.data.ptr
             rays = direction[0].ravel()
             mj.mj_multiRay(
-                model, data, origin[0], rays, _RAY_GROUPS, 1, -1, geom, distance, None,
-                count, mj.mjMAXVAL,
+                model,
+                data,
+                origin[0],
+                rays,
+                _RAY_GROUPS,
+                1,
+                -1,
+                geom,
+                distance,
+                None,
+                count,
+                mj.mjMAXVAL,
             )
             return distance[None]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 
 import pytest
 import torch
@@ -21,7 +22,11 @@ SIZE, ACTIONS, ATOMS = 3, 4, 7
 
 
 def make(**options):
-    options = {"value_range": (-1.0, 2.0), "num_atoms": ATOMS, "num_cells": (6, 5)} | options
+    options = {
+        "value_range": (-1.0, 2.0),
+        "num_atoms": ATOMS,
+        "num_cells": (6, 5),
+    } | options
     return make_q_actor(SIZE, ACTIONS, **options)
 
 
@@ -65,7 +70,7 @@ def test_the_last_width_is_a_layer_of_each_stream_and_the_others_are_shared(
         return [(m.in_features, m.out_features) for m in part if isinstance(m, nn.Linear)]
 
     def chain(*sizes):
-        return list(zip(sizes, sizes[1:], strict=False))
+        return list(itertools.pairwise(sizes))
 
     assert widths(network.features) == chain(SIZE, *shared)
     assert widths(network.advantage) == chain(shared[-1], *stream, ATOMS * ACTIONS)

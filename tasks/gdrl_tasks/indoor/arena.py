@@ -85,7 +85,7 @@ class Arena(abc.ABC):
                 continue
             if np.hypot(*(goal - start)) < self.goal_distance_m + tolerance_m:
                 continue
-            way = space.at(space.distances_to(goal, footprint_m), start[None])[0]
+            way = space.distances_to(goal, footprint_m)[space.cells(start)]
             if math.isfinite(way):
                 return Scene(
                     places=places,

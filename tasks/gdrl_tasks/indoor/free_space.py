@@ -81,11 +81,11 @@ class FreeSpace:
             _MOST_ROUNDS,
         )
 
-    def at(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Values of the cells that hold points ``[K, 2]``, ``[K]``."""
-        column = np.clip(np.rint((points[:, 0] - self.x[0]) / CELL_M), 0, len(self.x) - 1)
-        row = np.clip(np.rint((points[:, 1] - self.y[0]) / CELL_M), 0, len(self.y) - 1)
-        return values[row.astype(np.int64), column.astype(np.int64)]
+    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the cells that hold points ``[..., 2]``, each ``[...]``."""
+        column = np.rint((points[..., 0] - self.x[0]) / CELL_M).astype(np.int64)
+        row = np.rint((points[..., 1] - self.y[0]) / CELL_M).astype(np.int64)
+        return np.clip(row, 0, len(self.y) - 1), np.clip(column, 0, len(self.x) - 1)
 
 
 def _middles(half_m: float) -> np.ndarray:

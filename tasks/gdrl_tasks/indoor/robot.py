@@ -281,7 +281,9 @@ def _add_looks(body: mujoco.MjsBody) -> None:
     )
     cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     decks = [0.02, 0.062, 0.104]
-    parts = [(f"deck_{i}", box, [0.068, 0.068, 0.005], z, _DARK) for i, z in enumerate(decks)]
+    parts = [
+        (f"deck_{i}", box, [0.068, 0.068, 0.005], z, _DARK) for i, z in enumerate(decks)
+    ]
     parts += [("core", box, [0.05, 0.055, 0.05], 0.06, _GREY)]
     parts += [("lidar", cylinder, [0.035, 0.018, 0.0], LIDAR_HEIGHT_M - 0.055, _DARK)]
     for name, shape, size, z, colour in parts:

@@ -225,9 +225,7 @@ class IndoorTask(NavigationTask):
         """Mask of robots whose footprint touches a wall or an obstacle, ``[K]``."""
         shapes = self.arena.shapes
         centre, _ = self.body_centre(qpos)
-        room = clearances(
-            centre, ids, arrays["obstacles"], shapes.is_box, shapes.half_size
-        )
+        room = clearances(centre, ids, arrays["obstacles"], shapes.is_box, shapes.half_size)
         return room <= FOOTPRINT_M + COLLISION_MARGIN_M
 
     def sense(
