@@ -28,11 +28,18 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 from tensordict import TensorDict
+from torch.nn.functional import one_hot
 from torchrl.envs import DMControlWrapper, ParallelEnv
 from torchrl.envs.utils import step_mdp
 
 from gdrl_tasks import load, make_task, task_names
-from gdrl_torchrl.config.schema import NetworkConfig
+from gdrl_torchrl.config.schema import (
+    ExperimentConfig,
+    NetworkConfig,
+    PPOConfig,
+    RainbowConfig,
+)
+from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies
 from gdrl_torchrl.evolution.mutation import bernoulli_mutation
@@ -105,6 +112,7 @@ def wrapped(name: str, seed: int) -> DMControlWrapper:
 def parallel_rate(name: str, workers: int, limit: int) -> float:
     """Members one after another over ``ParallelEnv``, episodes spread over workers."""
     task = make_task(name)
+    size, is_discrete = task.spec.action_size, task.spec.is_discrete
     makers = [functools.partial(wrapped, name, seed) for seed in range(workers)]
     env = ParallelEnv(workers, makers)
     actor, population = make_population(name)
@@ -120,7 +128,9 @@ def parallel_rate(name: str, workers: int, limit: int) -> float:
                 while alive.any():
                     observation = torch.cat([td[n] for n in names], dim=-1).float()
                     act = TensorDict(observation=observation, batch_size=[workers])
-                    td["action"] = actor(act)["action"].double()
+                    action = actor(act)["action"]
+                    # The wrapper's: one-hot choices, or float64 commands.
+                    td["action"] = one_hot(action, size) if is_discrete else action.double()
                     if not alive.all():
                         td["_step"] = alive
                     td = env.step(td)
@@ -138,7 +148,13 @@ def parallel_rate(name: str, workers: int, limit: int) -> float:
 def make_population(name: str) -> tuple:
     """A fixed, untrained actor and a population mutated from it."""
     torch.manual_seed(0)
-    actor = make_actor(make_task(name), NetworkConfig())
+    task = make_task(name)
+    config = ExperimentConfig(
+        task=task_config_class(name)(),
+        algorithm=RainbowConfig() if task.spec.is_discrete else PPOConfig(),
+        network=NetworkConfig(actor_cells=[64, 64] if task.spec.is_discrete else [32, 32]),
+    )
+    actor = make_actor(task, config)
     genomes = stack_copies(genome_of(actor), MEMBERS)
     generator = torch.Generator().manual_seed(0)
     return actor, bernoulli_mutation(genomes, mut_p=0.75, std=0.1, generator=generator)

@@ -38,6 +38,10 @@ STILL_WATER = "#dbe8f1"
 SEA_COLOURS = LinearSegmentedColormap.from_list("sea", ["#a9c6db", STILL_WATER, "#fbfdfe"])
 """Troughs to crests, pale enough for paths to be seen over them."""
 
+FLOOR, OUTSIDE, OBSTACLE, WALL = "#fafaf8", "#e4e8ec", "#b4bbc3", "#565d66"
+VEHICLE = "#f2c21a"
+BEAM = "#d6272880"
+
 Layout = Literal["constrained", "tight"] | None
 
 _DPI = 150

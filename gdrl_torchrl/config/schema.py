@@ -80,9 +80,9 @@ class RainbowConfig:
     frames_per_batch: int = 256
     updates_per_batch: int = 8
     minibatch_size: int = 256
-    learning_rate: float = 5e-4
+    learning_rate: float = 1e-3
     gamma: float = 0.99
-    num_steps: int = 3
+    num_steps: int = 10
     """Steps of the return before the target network takes over."""
     num_atoms: int = 51
     target_tau: float = 0.01

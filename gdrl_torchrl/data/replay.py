@@ -151,6 +151,27 @@ def share_experience(
 
     Raises:
         ValueError: If the share is outside ``[0, 1]``.
+
+    Examples:
+        >>> from gdrl_torchrl.data.n_step import NStep
+        >>> buffer = make_prioritized_buffer(
+        ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
+        ... )
+        >>> ends = torch.tensor([False, True, False, True]).unsqueeze(-1)
+        >>> episodes = TensorDict(
+        ...     observation=torch.zeros(4, 3),
+        ...     action=torch.zeros(4, dtype=torch.long),
+        ...     next=TensorDict(
+        ...         observation=torch.zeros(4, 3),
+        ...         reward=torch.ones(4, 1),
+        ...         terminated=ends,
+        ...         done=ends,
+        ...     ),
+        ...     batch_size=[4],
+        ... )
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> share_experience(buffer, episodes, NStep(0.99, 3), 0.5, generator)
+        2
     """
     windows = n_step(transitions).exclude(*STALE)
     # Beyond its capacity a buffer would write several items to one place.
@@ -173,6 +194,15 @@ def buffer_state(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
 
     Returns:
         Nested dicts of tensors and plain values.
+
+    Examples:
+        >>> options = {"alpha": 0.5, "beta": 0.4, "batch_size": 4}
+        >>> buffer = make_prioritized_buffer(100, seed=0, **options)
+        >>> _ = buffer.extend(TensorDict(observation=torch.rand(9, 3), batch_size=[9]))
+        >>> other = make_prioritized_buffer(100, seed=1, **options)
+        >>> load_buffer_state(other, buffer_state(buffer))
+        >>> bool((buffer.sample() == other.sample()).all())
+        True
     """
     sampler: Any = buffer.sampler
     count = len(buffer)

@@ -123,7 +123,7 @@ class RainbowLoss(DistributionalDQNLoss):
             best = (ahead.softmax(-2) * support[:, None]).sum(-2).argmax(-1)
             with self._target():
                 values = _of_actions(self._logits(following), best).softmax(-1)
-            steps = batch.get(names.steps_to_next_obs, torch.ones(size))
+            steps = batch.get(names.steps_to_next_obs, support.new_ones(size))
             # Shapes are forced: [B] against [B, 1] would broadcast to [B, B], which
             # passes for [B, Z] if there are as many transitions as atoms.
             goes_on = ~following[names.terminated].reshape(size, 1)

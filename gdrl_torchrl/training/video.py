@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import logging
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from gdrl_tasks.batch import BatchSimulation
+from gdrl_tasks.indoor.lidar import beam_angles
+from gdrl_tasks.indoor.robot import BODY_X_M, FOOTPRINT_M
+from gdrl_tasks.indoor.task import IndoorTask
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.task import NavigationTask
-from gdrl_tasks.water.scenery import surface_grid
-from gdrl_tasks.water.waves import SEA_FIELDS
+from gdrl_torchrl.training.frames import (
+    Film,
+    drawn_frames,
+    rendered_frames,
+    surface_of,
+)
 from gdrl_torchrl.training.gl_backend import find_gl_backend
 
 _logger = logging.getLogger(__name__)
@@ -28,10 +32,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 TRAJECTORIES_FILE = "trajectories.npz"
 _SEA_SAMPLES = 400
 _SEA_MARGIN_M = 2.0
-_SPEED = 2.0
-_SLOWEST_FPS, _FASTEST_FPS = 6, 30
-_HOLD_S = 1.0
-"""How long an episode's last frame stays, in the video's time."""
+_OUTLINE_CORNERS = 48
 
 
 def record_trajectories(
@@ -40,6 +41,7 @@ def record_trajectories(
     seeds: Sequence[int] | np.ndarray,
     *,
     num_threads: int = 0,
+    scans: bool = False,
 ) -> dict[str, np.ndarray]:
     """Run one episode per seed and keep where the vehicles went.
 
@@ -48,6 +50,7 @@ def record_trajectories(
         act: The policy. It is given the worlds whose episode goes on, in order.
         seeds: Episode seeds ``[K]``.
         num_threads: Threads of the simulation; 0 takes one per processor.
+        scans: Whether to keep what a lidar reported.
 
     Returns:
         Arrays by name; ``T`` is the longest episode's number of steps, rows after the
@@ -59,7 +62,15 @@ def record_trajectories(
           ``[K]``, ``outcome_names`` by outcome;
         - ``tolerance`` (m), ``control_interval_s``;
         - of a task with waves, the surface of the first episode as it begins:
-          ``sea_x`` ``[N]``, ``sea_y`` ``[N]``, ``sea_elevation`` ``[N, N]`` (m).
+          ``sea_x`` ``[N]``, ``sea_y`` ``[N]``, ``sea_elevation`` ``[N, N]`` (m);
+        - of a task with walls and obstacles: their places ``obstacles`` ``[K, N, 4]``
+          (x and y in m, cosine and sine of the yaw; the unused are 50 m away or more),
+          ``obstacle_is_box`` ``[N]`` (others are cylinders), ``obstacle_half_size`` (m)
+          ``[N, 2]``; half the arena's length and width inside the walls,
+          ``half_extent`` (m) ``[2]``; and the vehicle in its own frame, ahead is +x,
+          ``vehicle_outline`` (m) ``[P, 2]``;
+        - of its lidar, in the outline's middle, ``beam_angles`` (rad from straight ahead)
+          ``[B]`` and, with ``scans``, ``scan`` (m) ``[T + 1, K, B]``.
 
     Raises:
         ValueError: If there is no seed.
@@ -69,7 +80,7 @@ def record_trajectories(
         raise ValueError("seeds=[] must name at least one episode")
     worlds = BatchSimulation(task, len(seeds), num_threads=num_threads)
     try:
-        recorded = _run_episodes(worlds, act, seeds)
+        recorded = _run_episodes(worlds, act, seeds, scans=scans)
     finally:
         worlds.close()
     recorded |= {
@@ -81,7 +92,9 @@ def record_trajectories(
         "tolerance": np.array(task.goal_tolerance_m),
         "control_interval_s": np.array(task.spec.control_interval_s),
     }
-    surface = _surface_of(task, int(seeds[0]))
+    if isinstance(task, IndoorTask):
+        recorded |= _arena_of(task, worlds)
+    surface = surface_of(task, int(seeds[0]))
     if surface is not None:
         places = np.concatenate([recorded["goal"], recorded["position"].reshape(-1, 2)])
         reach = float(np.nanmax(np.abs(places))) + _SEA_MARGIN_M
@@ -147,87 +160,37 @@ def write_video(
     for name, value in (("height", height), ("width", width)):
         if value < 2 or value % 2:
             raise ValueError(f"{name}={value} must be even and > 0")
-    trajectories = record_trajectories(task, act, seeds)
-    film = _Film.of(
-        trajectories, fps=fps, height=height, width=width, max_frames=max_frames
-    )
+    trajectories = record_trajectories(task, act, seeds, scans=True)
+    film = Film.of(trajectories, fps=fps, height=height, width=width, max_frames=max_frames)
     backend, reason = find_gl_backend()
     why = "no GL backend"
     if backend is not None:
         os.environ.setdefault("MUJOCO_GL", backend)
         try:
-            _encode(film, _rendered_frames(task, film), Path(path))
+            _encode(film, rendered_frames(task, film), Path(path))
         except Exception as error:  # what a driver can raise has no common type
             why, reason = "rendering failed", repr(error)
         else:
             return "rendered"
     _logger.warning("%s: drawn from above with matplotlib (%s)", why, reason)
-    _encode(film, _drawn_frames(task, film), Path(path))
+    _encode(film, drawn_frames(task, film), Path(path))
     return "drawn"
 
 
-@dataclasses.dataclass(frozen=True)
-class _Film:
-    """What is shown of recorded episodes, how large and how fast."""
-
-    trajectories: dict[str, np.ndarray]
-    stride: int
-    """Control steps between frames."""
-    fps: int
-    height: int
-    width: int
-
-    @classmethod
-    def of(
-        cls,
-        trajectories: dict[str, np.ndarray],
-        *,
-        fps: int | None,
-        height: int,
-        width: int,
-        max_frames: int,
-    ) -> _Film:
-        interval = float(trajectories["control_interval_s"])
-        stride = max(1, math.ceil(int(trajectories["steps"].sum()) / max(1, max_frames)))
-        stride = max(stride, math.ceil(_SPEED / (interval * _FASTEST_FPS) - 1e-9))
-        if fps is None:
-            fps = max(_SLOWEST_FPS, round(_SPEED / (interval * stride)))
-        return cls(trajectories, stride, fps, height, width)
-
-    @property
-    def num_episodes(self) -> int:
-        return len(self.trajectories["steps"])
-
-    @property
-    def speed(self) -> float:
-        """Simulated over shown seconds."""
-        return self.fps * self.stride * float(self.trajectories["control_interval_s"])
-
-    def steps_shown(self, episode: int) -> list[int]:
-        """Control steps that have a frame; the last one always has."""
-        last = int(self.trajectories["steps"][episode])
-        return [*range(0, last, self.stride), last]
-
-    @property
-    def hold(self) -> int:
-        """How often an episode's last frame is repeated."""
-        return round(_HOLD_S * self.fps)
-
-    @property
-    def num_frames(self) -> int:
-        shown = sum(len(self.steps_shown(k)) for k in range(self.num_episodes))
-        return shown + self.num_episodes * self.hold
-
-
 def _run_episodes(
-    worlds: BatchSimulation, act: Act, seeds: np.ndarray
+    worlds: BatchSimulation, act: Act, seeds: np.ndarray, *, scans: bool
 ) -> dict[str, np.ndarray]:
-    """Positions, headings and actions of whole episodes, cut to the longest."""
+    """Positions, headings, actions and scans of whole episodes, cut to the longest."""
     count, limit = len(seeds), worlds.task.spec.step_limit
     position = np.full((limit + 1, count, 2), np.nan)
     heading = np.full((limit + 1, count), np.nan)
     observation = worlds.reset(seeds=seeds)
     position[0], heading[0] = worlds.task.planar_pose(worlds.qpos)
+    scan = None
+    if scans and "scan" in worlds.arrays:
+        seen = worlds.arrays["scan"]
+        scan = np.full((limit + 1, *seen.shape), np.nan, dtype=np.float32)
+        scan[0] = seen
     alive, actions = np.arange(count), []
     while len(alive):
         chosen = np.asarray(act(observation[alive]))
@@ -238,94 +201,38 @@ def _run_episodes(
         # The arrays keep the last position to be believed of a world that diverged.
         position[len(actions), alive] = worlds.arrays["position"][alive]
         heading[len(actions), alive] = worlds.task.planar_pose(worlds.qpos[alive])[1]
+        if scan is not None:
+            scan[len(actions), alive] = worlds.arrays["scan"][alive]
         observation[alive] = result.observation
         alive = alive[~(result.terminated | result.truncated)]
     steps = len(actions)
-    return {
+    recorded = {
         "position": position[: steps + 1],
         "heading": heading[: steps + 1],
         "action": np.stack(actions),
     }
+    if scan is not None:
+        recorded["scan"] = scan[: steps + 1]
+    return recorded
 
 
-def _surface_of(
-    task: NavigationTask, seed: int
-) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray] | None:
-    """Elevation of an episode's sea over a grid; None if the task has no waves."""
-    arrays = task.draw_episode(seed).arrays
-    if not all(name in arrays for name in SEA_FIELDS):
-        return None
-    sea = {name: np.asarray(arrays[name]) for name in SEA_FIELDS}
-    return functools.partial(surface_grid, sea)
+def _arena_of(task: IndoorTask, worlds: BatchSimulation) -> dict[str, np.ndarray]:
+    """What stands in the way of the robot, its outline, and where its lidar looks."""
+    shapes = task.arena.shapes
+    around = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_CORNERS, endpoint=False)
+    circle = np.stack([np.cos(around), np.sin(around)], axis=-1)
+    options = task.options
+    return {
+        "obstacles": worlds.arrays["obstacles"].copy(),
+        "obstacle_is_box": shapes.is_box,
+        "obstacle_half_size": shapes.half_size,
+        "half_extent": np.array(task.arena.half_extent_m),
+        "vehicle_outline": FOOTPRINT_M * circle + [BODY_X_M, 0.0],
+        "beam_angles": beam_angles(options.num_beams, options.field_of_view_deg),
+    }
 
 
-def _rendered_frames(task: NavigationTask, film: _Film) -> Iterator[np.ndarray]:
-    """Replay the recorded actions and render what the two cameras see."""
-    # tensordict loads Triton, which ends the process if it is loaded after Mesa's
-    # software driver.
-    import tensordict  # noqa: F401
-
-    from gdrl_tasks.dm_env import make_environment
-
-    environment = make_environment(task)
-    suite_task: Any = environment.task
-    # Smoothed edges would take a third of the time where the processor renders.
-    environment.physics.model.vis.quality.offsamples = 0
-    try:
-        for episode in range(film.num_episodes):
-            actions = film.trajectories["action"][:, episode]
-            suite_task.next_episode_seed = int(film.trajectories["episode_seed"][episode])
-            timestep = environment.reset()
-            step = 0
-            for shown in film.steps_shown(episode):
-                # An ended environment would begin a new episode at the next step.
-                while step < shown and not timestep.last():
-                    timestep = environment.step(actions[step])
-                    step += 1
-                yield _render(environment.physics, film.height, film.width)
-    finally:
-        environment.close()
-
-
-def _render(physics: Any, height: int, width: int) -> np.ndarray:
-    """Both views side by side, ``[height, 2 width, 3]``."""
-    above = physics.render(height, width, camera_id="top")
-    # The first view brought the scenery up to date, which costs more than rendering.
-    update, physics.before_render = physics.before_render, None
-    try:
-        behind = physics.render(height, width, camera_id="chase")
-    finally:
-        physics.before_render = update
-    return np.concatenate([above, behind], axis=1)
-
-
-def _drawn_frames(task: NavigationTask, film: _Film) -> Iterator[np.ndarray]:
-    """Draw the recorded episodes from above."""
-    from gdrl_torchrl.analysis.figures import view_reach
-    from gdrl_torchrl.analysis.from_above import FromAbove
-
-    trajectories = film.trajectories
-    for episode in range(film.num_episodes):
-        seed = int(trajectories["episode_seed"][episode])
-        surface = _surface_of(task, seed)
-        arrays = task.draw_episode(seed).arrays
-        view = FromAbove(
-            goal=trajectories["goal"][episode],
-            tolerance_m=float(trajectories["tolerance"]),
-            reach_m=view_reach(trajectories),
-            wave_height_m=float(arrays.get("significant_wave_height", 0.0)),
-            surface=surface,
-            height=film.height,
-            width=film.width,
-        )
-        path = trajectories["position"][:, episode]
-        heading = trajectories["heading"][:, episode]
-        interval = float(trajectories["control_interval_s"])
-        for shown in film.steps_shown(episode):
-            yield view.draw(path[: shown + 1], heading[shown], shown * interval)
-
-
-def _encode(film: _Film, pictures: Iterator[np.ndarray], path: Path) -> None:
+def _encode(film: Film, pictures: Iterator[np.ndarray], path: Path) -> None:
     """Put captions under the pictures and write them as H.264."""
     import imageio.v2 as imageio
 

@@ -35,9 +35,13 @@ def options_of(group):
 EXPERIMENTS = options_of("experiment")
 
 
-def fields():
+BASES = ("gppo_water", "grainbow_indoor")
+"""An experiment of every task and algorithm."""
+
+
+def fields(base):
     """Every field of a configuration: its dotted name, its type, its value."""
-    config = load_experiment([])
+    config = load_experiment([f"experiment={base}"])
     for name in ("seed",):
         yield name, "int", getattr(config, name)
     for part in PARTS:
@@ -46,19 +50,23 @@ def fields():
             yield f"{part}.{field.name}", kind, getattr(getattr(config, part), field.name)
 
 
-FIELDS = list(fields())
-
-
 def is_number(kind):
     return not any(word in kind for word in ("list", "str", "bool", "Any"))
 
 
-NUMBERS = [name for name, kind, _ in FIELDS if is_number(kind)]
-REALS = [name for name, kind, _ in FIELDS if is_number(kind) and "float" in kind]
+FIELDS = {
+    (base, name): (kind, value) for base in BASES for name, kind, value in fields(base)
+}
+NUMBERS = [
+    (base, name)
+    for (base, name), (kind, _) in FIELDS.items()
+    if is_number(kind) and (base == BASES[0] or name.startswith(("task.", "algorithm.")))
+]
+REALS = [key for key in NUMBERS if "float" in FIELDS[key][0]]
 WHOLE = sorted(set(NUMBERS) - set(REALS))
 WORDS = [
-    name
-    for name, kind, value in FIELDS
+    (base, name)
+    for (base, name), (_, value) in FIELDS.items()
     if isinstance(value, str) and not name.endswith(".name")
 ]
 
@@ -78,11 +86,14 @@ def refusal(*overrides):
 
 
 def test_there_is_something_to_test():
-    assert {"gppo_water", "ppo_water"} <= set(EXPERIMENTS)
+    assert {"gppo_water", "ppo_water", "grainbow_indoor"} <= set(EXPERIMENTS)
     assert all(options_of(group) for group in GROUPS)
-    assert len(NUMBERS) > 30
-    assert len(REALS) > 15
-    assert len(WORDS) > 8
+    assert len(NUMBERS) > 50
+    assert len(REALS) > 30
+    assert len(WORDS) > 16
+    assert {load_experiment([f"experiment={base}"]).task.name for base in BASES} == set(
+        task_names()
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,7 +108,7 @@ def test_there_is_something_to_test():
 def test_every_shipped_file_composes_to_a_typed_configuration(experiment, choice):
     config = load_experiment([f"experiment={experiment}", choice])
     assert isinstance(config, schema.ExperimentConfig)
-    assert isinstance(config.algorithm, schema.PPOConfig)
+    assert isinstance(config.algorithm, schema.ALGORITHMS[config.algorithm.name])
     assert isinstance(config.task, task_config_class(config.task.name))
     for part in PARTS[2:]:
         assert dataclasses.is_dataclass(getattr(config, part))
@@ -107,7 +118,7 @@ def test_every_shipped_file_composes_to_a_typed_configuration(experiment, choice
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_every_experiment_can_be_built(experiment):
     training = build_training(load_experiment([f"experiment={experiment}"]))
-    training.trainer.collector.shutdown()
+    training.agent.trainer.collector.shutdown()
     training.close()
 
 
@@ -126,10 +137,8 @@ def test_every_experiment_takes_the_common_overrides(experiment):
         "budget.total_steps": 8,
         "budget.wall_s": 7.5,
         "evaluation.episodes": 9,
-        "task.sea": "rough",
-        "task.goal_distance_m": [2.5, 3.0],
-        "task.extra_observations": ["roll", "velocity"],
-        "task.peak_period_s": 2.5,
+        "task.step_limit": 77,
+        "task.goal_tolerance_m": 0.25,
         "algorithm.learning_rate": 0.01,
         "network.actor_cells": [4, 5, 6],
         "evolution.rates": [0.5, 0.2],
@@ -142,6 +151,26 @@ def test_every_experiment_takes_the_common_overrides(experiment):
         for part in name.split("."):
             found = getattr(found, part)
         assert found == value, name
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "experiment=gppo_water task.goal_distance_m=[2.5,3.0]",
+        "experiment=gppo_water task.extra_observations=[roll,velocity]",
+        "experiment=gppo_water task.peak_period_s=2.5",
+        "experiment=grainbow_indoor task.turn_rates_deg_s=[-60.0,0.0,60.0]",
+        "experiment=grainbow_indoor task.wheel_speed_limit=burger",
+        "experiment=grainbow_indoor task.scan_hold=true",
+    ],
+)
+def test_a_tasks_own_options_are_taken(override):
+    experiment, option = override.split()
+    config = load_experiment([experiment, option])
+    default = load_experiment([experiment])
+    name = option.partition("=")[0].removeprefix("task.")
+    assert getattr(config.task, name) != getattr(default.task, name)
+    make_task_from_config(config.task)
 
 
 # Defaults
@@ -158,7 +187,6 @@ def test_a_tasks_configuration_has_the_defaults_of_its_options(name):
 @pytest.mark.parametrize(
     ("group", "default"),
     [
-        ("algorithm", schema.PPOConfig()),
         ("network", schema.NetworkConfig()),
         ("evolution", schema.EvolutionConfig()),
         ("evaluation", schema.EvaluationConfig()),
@@ -169,6 +197,11 @@ def test_a_tasks_configuration_has_the_defaults_of_its_options(name):
 )
 def test_shipped_values_are_the_defaults_of_the_schema(group, default):
     assert getattr(load_experiment([]), group) == default
+
+
+@pytest.mark.parametrize("name", schema.ALGORITHMS)
+def test_an_algorithms_configuration_has_the_defaults_of_its_schema(name):
+    assert load_experiment([f"algorithm={name}"]).algorithm == schema.ALGORITHMS[name]()
 
 
 def defaults_of(function):
@@ -202,38 +235,38 @@ def test_defaults_of_the_schema_are_those_of_the_parts():
 # What is refused
 
 
-@pytest.mark.parametrize("name", NUMBERS)
-def test_no_number_is_negative(name):
-    said = refusal(f"{name}=-250")
+@pytest.mark.parametrize(("base", "name"), NUMBERS)
+def test_no_number_is_negative(base, name):
+    said = refusal(f"experiment={base}", f"{name}=-250")
     assert name.rpartition(".")[2] in said
     assert "-250" in said
 
 
-@pytest.mark.parametrize("name", REALS)
+@pytest.mark.parametrize(("base", "name"), REALS)
 @pytest.mark.parametrize("value", ["nan", "inf"])
-def test_every_number_is_finite(name, value):
-    said = refusal(f"{name}={value}")
+def test_every_number_is_finite(base, name, value):
+    said = refusal(f"experiment={base}", f"{name}={value}")
     assert name.rpartition(".")[2] in said
     assert value in said
 
 
-@pytest.mark.parametrize("name", WHOLE)
-def test_counts_are_whole(name):
-    said = refusal(f"{name}=2.5")
+@pytest.mark.parametrize(("base", "name"), WHOLE)
+def test_counts_are_whole(base, name):
+    said = refusal(f"experiment={base}", f"{name}=2.5")
     assert name in said
     assert "2.5" in said
 
 
-@pytest.mark.parametrize("name", NUMBERS[::5])
-def test_numbers_are_not_words(name):
-    said = refusal(f"{name}=many")
+@pytest.mark.parametrize(("base", "name"), NUMBERS[::5])
+def test_numbers_are_not_words(base, name):
+    said = refusal(f"experiment={base}", f"{name}=many")
     assert name in said
     assert "many" in said
 
 
-@pytest.mark.parametrize("name", WORDS)
-def test_words_are_among_the_choices(name):
-    said = refusal(f"{name}=sailing")
+@pytest.mark.parametrize(("base", "name"), WORDS)
+def test_words_are_among_the_choices(base, name):
+    said = refusal(f"experiment={base}", f"{name}=sailing")
     assert name.rpartition(".")[2] in said
     assert "sailing" in said
 
@@ -276,11 +309,33 @@ def test_words_are_among_the_choices(name):
         "task.goal_tolerance_m=2.5",
         "task.extra_observations=[fuel]",
         "task.actions=continuousdiscrete",
+        *(
+            f"experiment=grainbow_indoor {override}"
+            for override in (
+                "algorithm.num_steps=0",
+                "algorithm.num_atoms=1",
+                "algorithm.target_tau=0",
+                "algorithm.target_tau=1.5",
+                "algorithm.epsilon_decay=1.5",
+                "algorithm.exploration=boltzmann",
+                "algorithm.noisy_std=0",
+                "algorithm.replay_capacity=0",
+                "evolution.target_tau=1.5",
+                "evolution.experience_share=1.5",
+                "task.turn_rates_deg_s=[0.0]",
+                "task.turn_rates_deg_s=[0.0,200.0]",
+                "task.field_of_view_deg=400",
+                "task.num_beams=0",
+                "task.wheel_speed_limit=waffle",
+                "task.arena=maze",
+            )
+        ),
     ],
 )
 def test_values_out_of_range_are_named(override):
+    *base, override = override.split()
     name, value = override.split("=")
-    said = refusal(override)
+    said = refusal(*base, override)
     assert name.rpartition(".")[2] in said
     pieces = value.strip("[]").split(",")
     assert value == "null" or any(piece in said for piece in pieces)
@@ -292,6 +347,13 @@ def test_sizes_that_do_not_fit_are_named_together():
     assert "algorithm.frames_per_batch=2048" in said
     said = refusal("algorithm.minibatch_size=4096")
     assert "algorithm.minibatch_size=4096" in said
+    rainbow = "experiment=grainbow_indoor"
+    said = refusal(rainbow, "algorithm.warmup_steps=300", "algorithm.replay_capacity=200")
+    assert "algorithm.warmup_steps=300" in said
+    assert "algorithm.replay_capacity=200" in said
+    said = refusal(rainbow, "algorithm.epsilon_end=0.5", "algorithm.epsilon_start=0.2")
+    assert "algorithm.epsilon_end=0.5" in said
+    assert "algorithm.epsilon_start=0.2" in said
 
 
 @pytest.mark.parametrize("part", ["", *(f"{part}." for part in PARTS)])

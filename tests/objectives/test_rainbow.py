@@ -216,7 +216,7 @@ def test_the_projection_equals_a_loop_and_keeps_mass_and_mean(
         assert float(outside[i]) == pytest.approx(clipped, abs=1e-6)
         if clipped == 0.0:
             mean = float(reward[i]) + discount * float((chances[i] * support).sum())
-            tolerance = 2e-3 * width  # of what counts as inside
+            tolerance = 1e-3 * width / (atoms - 1) + 1e-6  # of what counts as inside
             assert float((out[i] * support).sum()) == pytest.approx(mean, abs=tolerance)
 
 

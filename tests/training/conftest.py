@@ -10,18 +10,34 @@ import pytest
 from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.training import run
 
-TINY = (
+TINY_WATER = (
     "experiment=gppo_water",
     "task.sea=calm",
     "task.goal_distance_m=[0.7,1.2]",
     "task.goal_tolerance_m=0.6",
     "task.step_limit=12",
-    "algorithm.num_worlds=4",
-    "algorithm.frames_per_batch=40",
     "algorithm.minibatch_size=20",
     "algorithm.num_epochs=1",
     "network.actor_cells=[8]",
     "network.critic_cells=[8]",
+)
+TINY_INDOOR = (
+    "experiment=grainbow_indoor",
+    "task.num_beams=5",
+    "task.goal_tolerance_m=0.5",
+    "task.step_limit=8",
+    "algorithm.minibatch_size=16",
+    "algorithm.updates_per_batch=2",
+    "algorithm.num_steps=3",
+    "algorithm.num_atoms=11",
+    "algorithm.warmup_steps=60",
+    "algorithm.replay_capacity=100",
+    "network.actor_cells=[8,8]",
+    "evolution.experience_share=0.5",
+)
+TINY = (
+    "algorithm.num_worlds=4",
+    "algorithm.frames_per_batch=40",
     "evolution.num_children=2",
     "evolution.num_trials=2",
     "evolution.period_episodes=4",
@@ -35,14 +51,30 @@ TINY = (
 )
 
 
-@pytest.fixture
-def tiny(tmp_path):
-    """Composes a tiny configuration with further overrides."""
-
+def composer(base, tmp_path):
     def compose(*overrides):
-        return load_experiment([*TINY, f"runs_dir={tmp_path / 'runs'}", *overrides])
+        runs_dir = f"runs_dir={tmp_path / 'runs'}"
+        return load_experiment([*base, *TINY, runs_dir, *overrides])
 
     return compose
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """Composes a tiny configuration with further overrides: GPPO on the water."""
+    return composer(TINY_WATER, tmp_path)
+
+
+@pytest.fixture
+def tiny_rainbow(tmp_path):
+    """The same for GRainbow indoors."""
+    return composer(TINY_INDOOR, tmp_path)
+
+
+@pytest.fixture(params=[TINY_WATER, TINY_INDOOR], ids=["gppo", "grainbow"])
+def tiny_of_each(request, tmp_path):
+    """The same for both, one after the other."""
+    return composer(request.param, tmp_path)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import gdrl_tasks
 from gdrl_tasks import Outcome, Stream
 from gdrl_tasks.seeds import stream_of
-from gdrl_torchrl.config.schema import EvaluationConfig, NetworkConfig
+from gdrl_torchrl.config.schema import EvaluationConfig
 from gdrl_torchrl.training.build import make_actor
 from gdrl_torchrl.training.evaluate import (
     evaluate_policy,
@@ -110,14 +110,14 @@ def test_the_greedy_policy_takes_arrays(actor_of):
 @pytest.fixture
 def saved(tmp_path, easy_task_for, tiny):
     task = easy_task_for()
-    actor = make_actor(task, NetworkConfig())
+    actor = make_actor(task, tiny())
     save_policy(tmp_path / "final", actor, task, tiny())
     return tmp_path / "final", actor, task
 
 
-def test_a_saved_policy_comes_back_bit_by_bit(saved):
+def test_a_saved_policy_comes_back_bit_by_bit(saved, tiny):
     folder, actor, task = saved
-    other = make_actor(task, NetworkConfig())
+    other = make_actor(task, tiny())
     assert params_sha256(other) != params_sha256(actor)
     load_policy(folder, other)
     assert params_sha256(other) == params_sha256(actor)
@@ -135,10 +135,10 @@ def test_the_digest_sees_every_value(saved):
     assert len(digests) == 1 + len(list(actor.parameters()))
 
 
-def test_a_policy_of_another_network_is_refused(saved):
+def test_a_policy_of_another_network_is_refused(saved, tiny):
     folder, _, task = saved
     with pytest.raises(ValueError, match=r"policy\.safetensors cannot be loaded"):
-        load_policy(folder, make_actor(task, NetworkConfig(actor_cells=[4])))
+        load_policy(folder, make_actor(task, tiny("network.actor_cells=[4]")))
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "noise"])

@@ -237,11 +237,11 @@ def take_a_step(module, optimizer, *, weight=1.0):
 def test_the_moments_of_the_actor_alone_are_reset_on_a_switch(choice, tiny):
     seed_everything(0)
     training = build_training(tiny(f"evolution.optimizer_on_switch={choice}"))
-    training.trainer.total_frames = 40
+    training.agent.trainer.total_frames = 40
     training.genetic.period_episodes = None
-    training.trainer.train()
-    optimizer, hook = training.optimizer, training.genetic
-    actor = {id(p) for p in training.actor.parameters()}
+    training.agent.trainer.train()
+    optimizer, hook = training.agent.optimizer, training.genetic
+    actor = {id(p) for p in training.agent.actor.parameters()}
     before = {id(p) for p in optimizer.state}
     assert actor < before, "the optimiser holds the actor's own parameters"
     hook.evaluator = ScriptedEvaluator(CHILD_WINS)
@@ -249,7 +249,7 @@ def test_the_moments_of_the_actor_alone_are_reset_on_a_switch(choice, tiny):
     assert hook.evaluate().switched
     after = {id(p) for p in optimizer.state}
     assert after == (before if choice == "keep" else before - actor)
-    take_a_step(training.loss, optimizer)
+    take_a_step(training.agent.loss, optimizer)
     training.close()
 
 
@@ -271,18 +271,18 @@ def test_the_collector_acts_with_the_new_weights(tiny):
     seed_everything(0)
     training = build_training(tiny())
     training.genetic.evaluator = ScriptedEvaluator(CHILD_WINS)
-    batches = iter(training.trainer.collector)
+    batches = iter(training.agent.trainer.collector)
     next(batches)
-    before = genome_of(training.actor)
+    before = genome_of(training.agent.actor)
     assert training.genetic.evaluate().switched
     batch = next(batches)
     observation = batch["observation"]
-    new = training.actor.get_dist_params(
+    new = training.agent.actor.get_dist_params(
         TensorDict(observation=observation, batch_size=observation.shape[:-1])
     )["loc"]
     assert torch.allclose(batch["loc"], new, atol=1e-6)
-    assert not (genome_of(training.actor) == before).all()
-    training.trainer.collector.shutdown()
+    assert not (genome_of(training.agent.actor) == before).all()
+    training.agent.trainer.collector.shutdown()
     training.close()
 
 
@@ -435,9 +435,9 @@ def test_it_registers_on_torchrls_own_ppo_trainer():
 def test_the_trainer_keeps_the_hooks_state(tiny):
     training = build_training(tiny())
     training.genetic.num_evaluations = 4
-    state = training.trainer.state_dict()
+    state = training.agent.trainer.state_dict()
     assert any("genetic_hook" in str(key) for key in _keys(state))
-    training.trainer.collector.shutdown()
+    training.agent.trainer.collector.shutdown()
     training.close()
 
 

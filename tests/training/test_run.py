@@ -16,12 +16,14 @@ pytestmark = pytest.mark.usefixtures("without_figures")
 
 
 def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(
-    tiny, tmp_path, rows_of, evaluation_of
+    tiny_of_each, tmp_path, rows_of, evaluation_of
 ):
-    whole = run_experiment(tiny("budget.agent_steps=240", f"runs_dir={tmp_path / 'a'}"))
+    whole = run_experiment(
+        tiny_of_each("budget.agent_steps=240", f"runs_dir={tmp_path / 'a'}")
+    )
     for steps in (80, 160, 240):
         pieces = run_experiment(
-            tiny(f"budget.agent_steps={steps}", f"runs_dir={tmp_path / 'b'}")
+            tiny_of_each(f"budget.agent_steps={steps}", f"runs_dir={tmp_path / 'b'}")
         )
     assert rows_of(pieces) == rows_of(whole)
     mine, other = evaluation_of(pieces), evaluation_of(whole)
@@ -63,10 +65,10 @@ def test_a_signal_saves_and_the_same_command_goes_on(
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
-    tiny, tmp_path, monkeypatch, rows_of, evaluation_of
+    tiny_of_each, tmp_path, monkeypatch, rows_of, evaluation_of
 ):
     every = "checkpoint.interval_s=0"
-    whole = run_experiment(tiny(every, f"runs_dir={tmp_path / 'a'}"))
+    whole = run_experiment(tiny_of_each(every, f"runs_dir={tmp_path / 'a'}"))
     append = MetricsTable.append
 
     def append_and_die(self, row):
@@ -74,7 +76,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
         if row["agent_steps"] == 80:
             raise KeyboardInterrupt
 
-    config = tiny(every, f"runs_dir={tmp_path / 'b'}")
+    config = tiny_of_each(every, f"runs_dir={tmp_path / 'b'}")
     with monkeypatch.context() as patch:
         patch.setattr(MetricsTable, "append", append_and_die)
         with pytest.raises(KeyboardInterrupt):
@@ -88,18 +90,18 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
 
 
 def test_results_do_not_depend_on_threads_but_on_the_seed(
-    tiny, tmp_path, rows_of, evaluation_of
+    tiny_of_each, tmp_path, rows_of, evaluation_of
 ):
     # 72 worlds of the evaluation: enough for two threads to share them.
     wide = ("evolution.num_trials=24", "budget.agent_steps=80")
-    one = run_experiment(tiny(*wide, f"runs_dir={tmp_path / 'a'}"))
+    one = run_experiment(tiny_of_each(*wide, f"runs_dir={tmp_path / 'a'}"))
     two = run_experiment(
-        tiny(*wide, f"runs_dir={tmp_path / 'b'}", "simulation.num_threads=2")
+        tiny_of_each(*wide, f"runs_dir={tmp_path / 'b'}", "simulation.num_threads=2")
     )
     assert rows_of(one) == rows_of(two)
     assert int(rows_of(one)[-1]["evaluations"]) > 0
     assert evaluation_of(one)["params_sha256"] == evaluation_of(two)["params_sha256"]
-    other = run_experiment(tiny(*wide, "seed=1", f"runs_dir={tmp_path / 'a'}"))
+    other = run_experiment(tiny_of_each(*wide, "seed=1", f"runs_dir={tmp_path / 'a'}"))
     assert other.parent == one.parent
     assert evaluation_of(one)["params_sha256"] != evaluation_of(other)["params_sha256"]
 
@@ -158,7 +160,8 @@ def test_a_run_of_another_version_of_the_code_needs_force(
     [
         ("task.step_limit=0", "step_limit=0"),
         ("task.backend=gpu", r"task\.backend='gpu'"),
-        ("task.actions=discrete", r"task\.actions='discrete'.*algorithm\.name='ppo'"),
+        ("task.actions=discrete", r"'discrete'.*'ppo' needs task\.actions=continuous"),
+        ("algorithm=rainbow", r"'continuous'.*'rainbow' needs task\.actions=discrete"),
     ],
 )
 def test_a_task_that_does_not_work_leaves_no_directory(override, message, tiny, tmp_path):

@@ -78,6 +78,37 @@ def limit_ranges(ranges: np.ndarray, nearest: float, farthest: float) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def goal_in_sight(
+    blocked: np.ndarray,
+    speed: np.ndarray,
+    row: int,
+    column: int,
+    rows_away: float,
+    columns_away: float,
+) -> bool:
+    """Whether the straight way from a cell to a goal is free and at full speed.
+
+    Then it is the shortest, and the sweeps need not find it: their differences are of
+    first order and make it up to a tenth too long.
+    """
+    rows, columns = blocked.shape
+    last_r, last_c = row, column
+    count = int(2.0 * math.hypot(rows_away, columns_away)) + 1
+    for i in range(count):
+        r = int(row + i / count * rows_away + 0.5)
+        c = int(column + i / count * columns_away + 0.5)
+        if not (0 <= r < rows and 0 <= c < columns):
+            return False
+        if blocked[r, c] or speed[r, c] < 1.0:
+            return False
+        # Between two cells that share a corner there may be no room.
+        if blocked[last_r, c] and blocked[r, last_c]:
+            return False
+        last_r, last_c = r, c
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def fast_sweep(
     blocked: np.ndarray,
     speed: np.ndarray,
@@ -95,9 +126,13 @@ def fast_sweep(
     arrival = np.full((rows, columns), np.inf)
     for r in range(rows):
         for c in range(columns):
+            if blocked[r, c]:
+                continue
             exact = math.hypot(goal_dx[c], goal_dy[r])
-            if exact <= 1.5 * cell and not blocked[r, c]:
+            if exact <= 1.5 * cell:
                 arrival[r, c] = exact / speed[r, c]
+            elif goal_in_sight(blocked, speed, r, c, goal_dy[r] / cell, goal_dx[c] / cell):
+                arrival[r, c] = exact
     unchanged = 0
     for sweep in range(4 * most_rounds):
         changed = False

@@ -12,6 +12,16 @@ import mujoco
 import numpy as np
 
 from gdrl_tasks.indoor.obstacles import ABSENT_M, Shapes
+from gdrl_tasks.indoor.scenery import (
+    OBSTACLE_COLOUR,
+    TYRE_COLOUR,
+    VISIBLE_ONLY,
+    WALL_COLOUR,
+    add_goal_looks,
+    add_robot_looks,
+    add_room_looks,
+    add_scan,
+)
 
 WHEEL_RADIUS_M = 0.033
 WHEEL_SEPARATION_M = 0.160
@@ -41,8 +51,6 @@ _STALL_TORQUE_NM = 1.4
 _FLOOR_IMPEDANCE = [0.99, 0.999, 0.001, 0.5, 2.0]
 
 _FLOOR_BIT, _OBSTACLE_BIT = 1, 2
-_SCENERY = {"contype": 0, "conaffinity": 0, "group": 1}
-_DARK, _GREY = [0.16, 0.17, 0.19, 1.0], [0.45, 0.47, 0.5, 1.0]
 
 
 def model_xml(
@@ -95,47 +103,8 @@ def _add_room(
     goal_tolerance_m: float,
 ) -> None:
     """Light, floor, walls and obstacles, the goal, and a camera over all of it."""
-    reach = max(half_extent_m)
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
-    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-    spec.visual.global_.offwidth = 1280
-    spec.visual.global_.offheight = 960
-    spec.stat.extent = reach
-    spec.stat.center = [0.0, 0.0, 0.0]
-    spec.visual.map.znear = 0.005
-    spec.visual.map.zfar = 40.0
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.72, 0.77, 0.82],
-        rgb2=[0.95, 0.96, 0.97],
-        width=64,
-        height=384,
-    )
-    spec.add_texture(
-        name="tiles",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.83, 0.84, 0.85],
-        rgb2=[0.77, 0.78, 0.8],
-        width=256,
-        height=256,
-    )
-    floor = spec.add_material(
-        name="floor", texrepeat=[1.0, 1.0], texuniform=True, specular=0.1
-    )
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    add_room_looks(spec, half_extent_m, shapes.height_m)
     world = spec.worldbody
-    world.add_light(
-        name="lamp",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.0, 0.0, 6.0],
-        dir=[0.25, 0.15, -1.0],
-        diffuse=[0.55, 0.54, 0.52],
-        specular=[0.2, 0.2, 0.2],
-    )
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -157,31 +126,13 @@ def _add_room(
             type=shape.mjGEOM_BOX if is_box else shape.mjGEOM_CYLINDER,
             size=size if is_box else [half_size[0], half_height, 0.0],
             pos=[ABSENT_M, ABSENT_M, half_height],
-            rgba=[0.62, 0.66, 0.7, 1.0] if number < 4 else [0.25, 0.45, 0.62, 1.0],
+            rgba=WALL_COLOUR if number < 4 else OBSTACLE_COLOUR,
             contype=_OBSTACLE_BIT,
             conaffinity=0,
             condim=1,
             group=OBSTACLE_GROUP,
         )
-    fovy = 45.0
-    height = (half_extent_m[1] + 0.3) / math.tan(0.5 * math.radians(fovy))
-    height = max(height, 0.75 * half_extent_m[0] / math.tan(0.5 * math.radians(fovy)))
-    world.add_camera(
-        name="top", pos=[0.0, 0.0, height], xyaxes=[1, 0, 0, 0, 1, 0], fovy=fovy
-    )
-    goal = world.add_body(name="goal", mocap=True)
-    for name, radius, half_height, opacity in (
-        ("goal_disc", goal_tolerance_m, 0.004, 0.8),
-        ("goal_pole", 0.012, 0.2, 1.0),
-    ):
-        goal.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[radius, half_height, 0.0],
-            pos=[0.0, 0.0, half_height],
-            rgba=[0.95, 0.3, 0.1, opacity],
-            **_SCENERY,
-        )
+    add_goal_looks(world.add_body(name="goal", mocap=True), goal_tolerance_m)
 
 
 def _add_robot(spec: mujoco.MjSpec) -> None:
@@ -222,7 +173,10 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
         mass=0.0,
         group=4,
     )
-    _add_looks(body)
+    add_robot_looks(
+        body, middle_x_m=BODY_X_M, floor_z_m=-WHEEL_RADIUS_M, radius_m=FOOTPRINT_M
+    )
+    add_scan(spec, "robot", [BODY_X_M, 0.0, LIDAR_HEIGHT_M - WHEEL_RADIUS_M])
     gain = _ROTOR_INERTIA_KG_M2 + 0.5 * 1.05 * WHEEL_RADIUS_M**2
     gain = round(gain / _SERVO_TIME_S, 4)
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -257,9 +211,8 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[WHEEL_RADIUS_M, 0.009, 0.0],
             quat=[math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0],
-            rgba=_DARK,
-            mass=0.0,
-            **_SCENERY,
+            rgba=TYRE_COLOUR,
+            **VISIBLE_ONLY,
         )
         servo = spec.add_actuator(
             name=f"{side}_wheel",
@@ -269,39 +222,3 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
             forcerange=[-_STALL_TORQUE_NM, _STALL_TORQUE_NM],
         )
         servo.set_to_velocity(kv=gain)
-
-
-def _add_looks(body: mujoco.MjsBody) -> None:
-    """Three decks on pillars, the lidar on top, and a camera behind."""
-    body.add_camera(
-        name="chase",
-        pos=[-1.15, 0.0, 0.85],
-        xyaxes=[0.0, -1.0, 0.0, 0.55, 0.0, 0.84],
-        fovy=55.0,
-    )
-    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
-    decks = [0.02, 0.062, 0.104]
-    parts = [
-        (f"deck_{i}", box, [0.068, 0.068, 0.005], z, _DARK) for i, z in enumerate(decks)
-    ]
-    parts += [("core", box, [0.05, 0.055, 0.05], 0.06, _GREY)]
-    parts += [("lidar", cylinder, [0.035, 0.018, 0.0], LIDAR_HEIGHT_M - 0.055, _DARK)]
-    for name, shape, size, z, colour in parts:
-        body.add_geom(
-            name=name,
-            type=shape,
-            size=size,
-            pos=[BODY_X_M, 0.0, z],
-            rgba=colour,
-            mass=0.0,
-            **_SCENERY,
-        )
-    body.add_geom(
-        name="bow",
-        type=box,
-        size=[0.012, 0.04, 0.007],
-        pos=[BODY_X_M + 0.058, 0.0, 0.106],
-        rgba=[0.95, 0.77, 0.1, 1.0],
-        mass=0.0,
-        **_SCENERY,
-    )

@@ -31,6 +31,7 @@ from gdrl_tasks.indoor.robot import (
     model_xml,
     obstacle_geoms,
 )
+from gdrl_tasks.indoor.scenery import draw_scan
 from gdrl_tasks.task import (
     CastRays,
     Episode,
@@ -260,3 +261,7 @@ class IndoorTask(NavigationTask):
     ) -> dict[str, np.ndarray]:
         """The last scan, from right to left, in units of the farthest range."""
         return {"lidar": arrays["scan"][ids] / lidar.FARTHEST_M}
+
+    def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
+        """Draw the last scan."""
+        draw_scan(physics, arrays["scan"][0], self._angles)
