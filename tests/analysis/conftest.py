@@ -75,3 +75,36 @@ def trajectories() -> dict[str, np.ndarray]:
         "sea_y": side,
         "sea_elevation": 0.1 * np.cos(side)[None, :] + 0.0 * side[:, None],
     }
+
+
+@pytest.fixture
+def arena_trajectories(trajectories: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same three episodes, half as long, of a round robot among obstacles.
+
+    In every layout there are four walls, a box and a round pillar; the box stands
+    elsewhere in each, the last layout is without the pillar.
+    """
+    walls = [[3.05, 0, 1, 0], [-3.05, 0, 1, 0], [0, 2.05, 1, 0], [0, -2.05, 1, 0]]
+    slanted = [np.cos(0.5), np.sin(0.5)]
+    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    data = {name: item for name, item in trajectories.items() if "sea" not in name}
+    return data | {
+        "position": 0.5 * data["position"],
+        "goal": 0.5 * data["goal"],
+        "action": np.zeros((6, 3), dtype=np.int64),
+        "half_extent": np.array([3.0, 2.0]),
+        "obstacles": np.array(
+            [
+                [*walls, [1.0, -1.0, 1.0, 0.0], [-2.0, 1.0, 1.0, 0.0]],
+                [*walls, [1.0, 1.0, *slanted], [-2.0, 1.0, 1.0, 0.0]],
+                [*walls, [-1.0, 1.0, 0.0, 1.0], [100.0, 100.0, 1.0, 0.0]],
+            ]
+        ),
+        "obstacle_is_box": np.array([True] * 5 + [False]),
+        "obstacle_half_size": np.array(
+            [[0.05, 2.1], [0.05, 2.1], [3.1, 0.05], [3.1, 0.05], [0.6, 0.2], [0.3, 0.3]]
+        ),
+        "vehicle_outline": 0.11 * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        - [0.03, 0.0],
+        "beam_angles": np.radians([-90.0, 0.0, 90.0]),
+    }

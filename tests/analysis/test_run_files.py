@@ -56,10 +56,15 @@ def test_evaluation_is_read(run_dir: Path) -> None:
     assert read_evaluation(run_dir)["success_rate"] == 0.95
 
 
-def test_trajectories_are_read(tmp_path: Path, trajectories: dict[str, np.ndarray]) -> None:
+@pytest.mark.parametrize("recorded", ["trajectories", "arena_trajectories"])
+def test_trajectories_are_read(
+    tmp_path: Path, recorded: str, request: pytest.FixtureRequest
+) -> None:
+    trajectories = request.getfixturevalue(recorded)
     np.savez(tmp_path / "trajectories.npz", allow_pickle=False, **trajectories)
 
     read = read_trajectories(tmp_path)
 
     assert read.keys() == trajectories.keys()
-    np.testing.assert_array_equal(read["position"], trajectories["position"])
+    for name, value in trajectories.items():
+        np.testing.assert_array_equal(read[name], value)
