@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch.fx.experimental.proxy_tensor import make_fx
+from torchrl.envs.utils import exploration_type
+
+Graph = Callable[[list[torch.Tensor], list[torch.Tensor]], list[torch.Tensor]]
+
+
+_logger = logging.getLogger(__name__)
 
 
 class PopulationActor:
@@ -16,9 +25,16 @@ class PopulationActor:
     that own none (distributions, argmax) run on all rows at once, so actors whose
     heads ``torch.vmap`` refuses work too. The actor itself is never modified.
 
+    The vectorised part is traced once to a graph of tensor operations and run without
+    Python's share of the work, which for small networks is most of it. The graph is
+    used only if it gives the same numbers, bit for bit, as the vectorised modules on
+    its first inputs; otherwise the modules are run.
+
     Args:
         actor: Any TorchRL actor without lazy layers: a tensordict module, or a
             sequence of them.
+        trace: Whether to trace. A policy that keeps a state in Python objects must not
+            be.
 
     Examples:
         >>> from gdrl_torchrl.evolution.genome import genome_of, stack_copies
@@ -32,14 +48,16 @@ class PopulationActor:
         torch.Size([20, 2])
     """
 
-    def __init__(self, actor: TensorDictModuleBase) -> None:
+    def __init__(self, actor: TensorDictModuleBase, *, trace: bool = True) -> None:
         self.actor = actor
+        self.trace = trace
         self._prefix, self._heads = _split(actor)
         self.in_keys = list(self._prefix.in_keys)
         self._names = {name for name, _ in self._prefix.named_parameters()}
         if not self._names:
             raise ValueError(f"{type(actor).__name__} has no parameters")
         self._params: TensorDictBase | None = None
+        self._graphs: dict[Any, Graph | None] = {}
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
 
     def load(self, genomes: TensorDictBase) -> None:
@@ -82,28 +100,88 @@ class PopulationActor:
         """
         if self._params is None:
             raise RuntimeError("no members are loaded: call load(genomes) first")
-        count = self._params.batch_size[0]
-        inputs = rows.select(*self.in_keys)
-        out = self._vmapped(self._params, inputs.reshape(count, -1)).reshape(-1)
+        members = self._params.batch_size[0]
+        inputs = rows.select(*self.in_keys).reshape(members, -1)
         finite = torch.ones(rows.batch_size, dtype=torch.bool)
-        for key in self._prefix.out_keys:
-            value = out.get(key, None)
-            if value is None or not value.dtype.is_floating_point:
-                continue
-            mask = torch.isfinite(value)
-            if not bool(mask.all()):
-                finite &= mask.reshape(mask.shape[0], -1).all(dim=1)
+        for key, value in self._outputs(inputs).items():
+            value = value.flatten(0, 1)
+            # The sum tells at once whether all numbers are, except when it overflows.
+            if value.dtype.is_floating_point and not torch.isfinite(value.sum()):
+                mask = torch.isfinite(value)
+                finite &= mask.reshape(len(mask), -1).all(dim=1)
                 # A neutral value keeps heads from raising; the row is marked instead.
                 neutral = torch.ones_like if key == "scale" else torch.zeros_like
-                out.set(key, torch.where(mask, value, neutral(value)))
-        rows.update(out)
+                value = torch.where(mask, value, neutral(value))
+            rows.set(key, value)
         for head in self._heads:
             rows = head(rows)
         return rows.set("policy_is_finite", finite)
 
+    def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
+        """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
+        assert self._params is not None
+        if self.trace:
+            leaves = _leaves(inputs)
+            # All that the operations depend on beside the numbers.
+            key = (
+                tuple((name, x.shape, x.dtype) for name, x in leaves.items()),
+                exploration_type(),
+                tuple(module.training for module in self._prefix.modules()),
+            )
+            if key not in self._graphs:
+                self._graphs[key] = self._traced(leaves, inputs.batch_size)
+            graph = self._graphs[key]
+            if graph is not None:
+                params = list(_leaves(self._params).values())
+                values = graph(params, list(leaves.values()))
+                return dict(zip(self._prefix.out_keys, values, strict=True))
+        return _leaves(self._vmapped(self._params, inputs))
+
+    def _traced(
+        self, leaves: dict[Any, torch.Tensor], batch_size: torch.Size
+    ) -> Graph | None:
+        """The vectorised part as a graph, or None if it is not one."""
+        assert self._params is not None
+        params, count = _leaves(self._params), self._params.batch_size
+
+        def run(
+            param_values: list[torch.Tensor], input_values: list[torch.Tensor]
+        ) -> list[torch.Tensor]:
+            genomes = _nested(params, param_values, count)
+            out = self._vmapped(genomes, _nested(leaves, input_values, batch_size))
+            return [out.get(key) for key in self._prefix.out_keys]
+
+        arguments = (list(params.values()), list(leaves.values()))
+        try:
+            expected = run(*arguments)
+            graph = make_fx(run)(*arguments)
+            same = all(
+                torch.equal(torch.nan_to_num(one), torch.nan_to_num(other))
+                for one, other in zip(graph(*arguments), expected, strict=True)
+            )
+        except Exception as error:  # whatever a module of a user raises when traced
+            _logger.debug("%s is not traced: %s", type(self.actor).__name__, error)
+            return None
+        if not same:
+            _logger.debug("%s is not traced: it is random", type(self.actor).__name__)
+        return graph if same else None
+
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         with params.to_module(self._prefix, preserve_module_state=False):
             return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
+
+
+def _leaves(values: TensorDictBase) -> dict[Any, torch.Tensor]:
+    return dict(values.items(include_nested=True, leaves_only=True))
+
+
+def _nested(
+    names: dict[Any, torch.Tensor], values: list[torch.Tensor], batch_size: torch.Size
+) -> TensorDictBase:
+    whole = TensorDict(batch_size=batch_size)
+    for name, value in zip(names, values, strict=True):
+        whole.set(name, value)
+    return whole
 
 
 def _dotted(key: Any) -> str:

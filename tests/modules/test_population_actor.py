@@ -157,3 +157,91 @@ def test_an_actor_without_parameters_is_refused():
     actor = TensorDictModule(nn.Tanh(), in_keys=["observation"], out_keys=["action"])
     with pytest.raises(ValueError, match="no parameters"):
         PopulationActor(actor)
+
+
+# Tracing
+
+
+def outputs(population, rows):
+    out = population(rows.clone())
+    return {key: out[key] for key in out.keys(True, True)}
+
+
+def test_a_traced_part_gives_what_the_modules_give(actor_kind, actor_of, population_of):
+    actor = actor_of(actor_kind)
+    genomes = population_of(actor, 3)
+    traced, plain = PopulationActor(actor), PopulationActor(actor, trace=False)
+    for members in (genomes, genomes.apply(lambda value: 2.0 * value), genomes[:2]):
+        traced.load(members), plain.load(members)
+        for episodes in (1, 4):
+            rows = TensorDict(
+                observation=torch.randn(len(members) * episodes, 3),
+                batch_size=[len(members) * episodes],
+            )
+            mine, other = outputs(traced, rows), outputs(plain, rows)
+            assert mine.keys() == other.keys()
+            for key, value in mine.items():
+                assert torch.equal(value, other[key]), key
+    assert all(graph is not None for graph in traced._graphs.values())
+    assert len(traced._graphs) == 4, "a graph a shape, whatever the members"
+
+
+def test_what_does_not_evolve_is_read_anew_at_every_load(actor_of, population_of):
+    actor = actor_of("distributional")
+    population = PopulationActor(actor)
+    rows = TensorDict(observation=torch.randn(6, 3), batch_size=[6])
+    genomes = population_of(actor, 2).select(("module", "0", "module", "features"))
+    before = None
+    for _ in range(2):
+        population.load(genomes)
+        now = population(rows.clone())["action_value"]
+        assert before is None or not torch.allclose(now, before)
+        before = now
+        with torch.no_grad():
+            for parameter in actor.parameters():
+                parameter.mul_(1.5)
+
+
+class Shaken(nn.Module):
+    """A network that is random, whatever the mode."""
+
+    def __init__(self):
+        super().__init__()
+        self.layer = nn.Linear(3, 2)
+
+    def forward(self, observation):
+        value = self.layer(observation)
+        return value + torch.randn_like(value)
+
+
+def test_a_random_policy_stays_random():
+    actor = TensorDictModule(Shaken(), ["observation"], ["action"])
+    population = PopulationActor(actor)
+    population.load(stack_copies(genome_of(actor), 2))
+    rows = TensorDict(observation=torch.zeros(4, 3), batch_size=[4])
+    one, other = (population(rows.clone())["action"] for _ in range(2))
+    assert (one != other).all()
+    assert (one[:2] != one[2:]).all(), "members draw numbers of their own"
+    assert list(population._graphs.values()) == [None]
+
+
+class Counting(nn.Module):
+    """A network with a state that is no tensor."""
+
+    def __init__(self):
+        super().__init__()
+        self.layer = nn.Linear(3, 2)
+        self.calls = 0
+
+    def forward(self, observation):
+        self.calls += 1
+        return self.layer(observation) * self.calls
+
+
+def test_a_policy_with_a_state_in_python_is_seen_to_change():
+    actor = TensorDictModule(Counting(), ["observation"], ["action"])
+    population = PopulationActor(actor)
+    population.load(stack_copies(genome_of(actor), 2))
+    rows = TensorDict(observation=torch.ones(4, 3), batch_size=[4])
+    one, other = (population(rows.clone())["action"] for _ in range(2))
+    assert not torch.allclose(one, other)

@@ -79,9 +79,7 @@ def test_continuous_commands_are_followed(speed, indoor_at, indoor_pose):
 
 def test_own_turn_rates_are_followed(indoor_at, indoor_pose):
     rates = (-120.0, 10.0, 60.0)
-    worlds = indoor_at(
-        np.zeros((3, 3)), turn_rates_deg_s=rates, control_interval_s=TICK_S
-    )
+    worlds = indoor_at(np.zeros((3, 3)), turn_rates_deg_s=rates, control_interval_s=TICK_S)
     states = drive(worlds, np.arange(3), 1.2)
     assert_follows(states, np.full(3, 0.15), np.radians(rates), indoor_pose)
 

@@ -94,7 +94,9 @@ def test_scans_are_those_of_a_perfect_lidar(
     for _ in range(4):
         middle, heading = indoor_pose(worlds.qpos)
         expected = [
-            expected_scan((*middle[k], heading[k]), angles, places, worlds.task.arena.shapes)
+            expected_scan(
+                (*middle[k], heading[k]), angles, places, worlds.task.arena.shapes
+            )
             for k, places in enumerate(worlds.arrays["obstacles"])
         ]
         read.append(FARTHEST_M * observation[:, 2:])
@@ -230,7 +232,9 @@ def test_a_lone_beam_looks_ahead(field_of_view_deg, indoor_at):
 def test_a_held_scan_is_the_last_of_five_a_second(interval_cs):
     options = {"control_interval_s": interval_cs / 100}
     always, held = (
-        gdrl_tasks.simulate("indoor", num_worlds=8, num_threads=1, scan_hold=hold, **options)
+        gdrl_tasks.simulate(
+            "indoor", num_worlds=8, num_threads=1, scan_hold=hold, **options
+        )
         for hold in (False, True)
     )
     seeds = np.arange(8)
@@ -340,7 +344,5 @@ def test_range_noise_belongs_to_the_episode():
         seen += [worlds.step(np.array([2]), last).observation for _ in range(4)]
         return np.concatenate(seen)[:, 2:]
 
-    np.testing.assert_array_equal(
-        scans(7, num_worlds=1), scans(7, num_worlds=4, warm_up=3)
-    )
+    np.testing.assert_array_equal(scans(7, num_worlds=1), scans(7, num_worlds=4, warm_up=3))
     assert (scans(7, num_worlds=1) != scans(8, num_worlds=1)).any()

@@ -93,7 +93,10 @@ def test_finish_is_the_array_functions_one_after_the_other(
 ):
     start, end, goal = world["position"], world["now"], world["goal"]
     # At the very edge of the goal the last bit decides.
-    for reached in (segment_distance(start, end, goal), segment_distance(start, start, goal)):
+    for reached in (
+        segment_distance(start, end, goal),
+        segment_distance(start, start, goal),
+    ):
         assume((np.abs(reached - tolerance) > 1e-9).all())
     limits = (tolerance, step_limit, weight, truncates)
     expected, expected_reward = finish_by_arrays(world, limits)

@@ -7,15 +7,21 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
+import mujoco
 import numpy as np
 import pytest
 
 from gdrl_tasks import NavigationTask, Outcome, make_task
 from gdrl_tasks.controllers import pursuit
+from gdrl_tasks.indoor.obstacles import clearance
+from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
 from gdrl_torchrl.analysis.captions import caption_height
+from gdrl_torchrl.analysis.layout import posed
 from gdrl_torchrl.analysis.run_files import read_trajectories
+from gdrl_torchrl.training import frames as frames_of
 from gdrl_torchrl.training import gl_backend, video
 from gdrl_torchrl.training.video import (
     record_trajectories,
@@ -23,56 +29,105 @@ from gdrl_torchrl.training.video import (
     write_video,
 )
 
+TASKS = ("water", "indoor")
 SEEDS = [11, 12]
 HEIGHT, WIDTH = 64, 96
+COMMON = {
+    "position",
+    "heading",
+    "action",
+    "goal",
+    "outcome",
+    "steps",
+    "episode_seed",
+    "outcome_names",
+    "tolerance",
+    "control_interval_s",
+}
+SEA = {"sea_x", "sea_y", "sea_elevation"}
+ARENA = {
+    "obstacles",
+    "obstacle_is_box",
+    "obstacle_half_size",
+    "half_extent",
+    "vehicle_outline",
+    "beam_angles",
+}
 
 
-def drift(observation: np.ndarray) -> np.ndarray:
-    return np.zeros((len(observation), 2))
+def turn_to_goal(observation: np.ndarray) -> np.ndarray:
+    """Turn rates of the indoor task that turn the robot to its goal, walls or not."""
+    return np.clip(np.round(2.0 + 8.0 * observation[:, 1]), 0, 4).astype(np.int64)
 
 
-@pytest.fixture
-def short_task() -> NavigationTask:
+CONTROLLERS = {"water": pursuit, "indoor": turn_to_goal}
+DRIFTERS = {
+    "water": lambda observation: np.zeros((len(observation), 2)),
+    "indoor": lambda observation: np.full(len(observation), 2),
+}
+
+
+def drift(task: NavigationTask) -> video.Act:
+    return DRIFTERS[task.name]
+
+
+@pytest.fixture(params=TASKS)
+def task(request: pytest.FixtureRequest) -> NavigationTask:
+    return make_task(request.param)
+
+
+@pytest.fixture(params=TASKS)
+def short_task(request: pytest.FixtureRequest) -> NavigationTask:
     """Episodes of three control steps."""
-    return make_task("water", step_limit=3)
+    return make_task(request.param, step_limit=3)
 
 
-def test_recorded_successes_end_at_their_goal() -> None:
-    task = make_task("water")
+def test_recorded_successes_end_at_their_goal(task: NavigationTask) -> None:
+    act = CONTROLLERS[task.name]
 
-    recorded = record_trajectories(task, pursuit, range(6), num_threads=1)
+    recorded = record_trajectories(task, act, range(6), num_threads=1)
 
     reached = np.flatnonzero(recorded["outcome"] == Outcome.SUCCESS)
-    assert len(reached) >= 5
+    # Half of the goals indoors are behind a wall.
+    assert len(reached) >= {"water": 5, "indoor": 3}[task.name]
     last = recorded["position"][recorded["steps"][reached], reached]
     # The swept segment passes the goal: its end may lie a step beyond the tolerance.
     distance = np.hypot(*(recorded["goal"][reached] - last).T)
-    assert (distance < task.goal_tolerance_m + 0.5).all()
+    assert (
+        distance < task.goal_tolerance_m + {"water": 0.5, "indoor": 0.02}[task.name]
+    ).all()
     assert recorded["outcome_names"][recorded["outcome"][reached[0]]] == "success"
 
 
-def test_rows_after_an_episode_are_blank() -> None:
-    recorded = record_trajectories(make_task("water"), pursuit, range(6), num_threads=1)
+def test_rows_after_an_episode_are_blank(task: NavigationTask) -> None:
+    act = CONTROLLERS[task.name]
+
+    recorded = record_trajectories(task, act, range(6), num_threads=1, scans=True)
 
     longest = recorded["steps"].max()
     assert recorded["position"].shape == (longest + 1, 6, 2)
-    assert recorded["action"].shape == (longest, 6, 2)
+    assert recorded["action"].shape[:2] == (longest, 6)
     for k, steps in enumerate(recorded["steps"]):
         known = np.isfinite(recorded["position"][:, k]).all(axis=-1)
         np.testing.assert_array_equal(known, np.arange(longest + 1) <= steps)
         np.testing.assert_array_equal(known, np.isfinite(recorded["heading"][:, k]))
+        if "scan" in recorded:
+            seen = np.isfinite(recorded["scan"][:, k]).all(axis=-1)
+            np.testing.assert_array_equal(known, seen)
 
 
-def test_policy_sees_only_live_worlds_and_equal_seeds_give_equal_paths() -> None:
-    task = make_task("water")
+def test_policy_sees_only_live_worlds_and_equal_seeds_give_equal_paths(
+    task: NavigationTask,
+) -> None:
+    controller = CONTROLLERS[task.name]
     counts = []
 
     def act(observation: np.ndarray) -> np.ndarray:
         counts.append(len(observation))
-        return pursuit(observation)
+        return controller(observation)
 
     together = record_trajectories(task, act, [3, 4, 5], num_threads=1)
-    alone = record_trajectories(task, pursuit, [4], num_threads=1)
+    alone = record_trajectories(task, controller, [4], num_threads=1)
 
     assert counts[0] == 3
     assert sum(counts) == together["steps"].sum()
@@ -82,16 +137,70 @@ def test_policy_sees_only_live_worlds_and_equal_seeds_give_equal_paths() -> None
     )
 
 
-def test_discrete_actions_are_recorded() -> None:
-    task = make_task("water", actions="discrete", step_limit=2)
+@pytest.mark.parametrize("name", TASKS)
+def test_discrete_actions_are_recorded(name: str) -> None:
+    task = make_task(name, actions="discrete", step_limit=2)
 
     recorded = record_trajectories(task, lambda o: np.full(len(o), 3), [0], num_threads=1)
 
     assert recorded["action"].tolist() == [[3], [3]]
 
 
-def test_recorded_sea_is_that_of_the_first_episode(short_task: NavigationTask) -> None:
-    recorded = record_trajectories(short_task, drift, SEEDS, num_threads=1)
+@pytest.mark.parametrize(("name", "own"), [("water", SEA), ("indoor", ARENA)])
+def test_only_what_a_task_has_is_recorded(name: str, own: set[str]) -> None:
+    task = make_task(name, step_limit=1)
+
+    recorded = record_trajectories(task, drift(task), SEEDS, num_threads=1)
+    scanned = record_trajectories(task, drift(task), SEEDS, num_threads=1, scans=True)
+
+    assert recorded.keys() == COMMON | own
+    assert scanned.keys() - recorded.keys() == ({"scan"} if name == "indoor" else set())
+
+
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+def test_recorded_obstacles_are_those_that_robots_hit(arena: str) -> None:
+    task = make_task("indoor", arena=arena)
+
+    recorded = record_trajectories(task, drift(task), range(8), num_threads=1)
+
+    shapes = {"is_box": recorded["obstacle_is_box"]}
+    shapes["half_size"] = recorded["obstacle_half_size"]
+    for k in np.flatnonzero(recorded["outcome"] == Outcome.COLLISION):
+        last = recorded["steps"][k]
+        position, heading = recorded["position"][last, k], recorded["heading"][last, k]
+        outline = posed(recorded["vehicle_outline"], position, heading)
+        places = np.repeat(recorded["obstacles"][k, None], len(outline), axis=0)
+        # A step is 18 mm, and what is 5 mm away counts as touched.
+        nearest = clearance(outline, places, **shapes).min()
+        assert -0.02 < nearest < 0.006
+    assert (recorded["outcome"] == Outcome.COLLISION).sum() >= 5
+    inside = np.abs(recorded["goal"]) < recorded["half_extent"]
+    assert inside.all()
+
+
+def test_recorded_scans_end_at_obstacles() -> None:
+    task = make_task("indoor", arena="paper", step_limit=20)
+
+    recorded = record_trajectories(task, turn_to_goal, [3], num_threads=1, scans=True)
+
+    outline, angles = recorded["vehicle_outline"], recorded["beam_angles"]
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    for step in (0, 7, 20):
+        scan = recorded["scan"][step, 0]
+        tips = middle + scan[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        tips = posed(tips, recorded["position"][step, 0], recorded["heading"][step, 0])
+        places = np.repeat(recorded["obstacles"], len(tips), axis=0)
+        distance = clearance(
+            tips, places, recorded["obstacle_is_box"], recorded["obstacle_half_size"]
+        )
+        hits = scan < 3.5
+        assert hits.sum() > 10
+        np.testing.assert_allclose(distance[hits], 0.0, atol=1e-4)
+
+
+def test_recorded_sea_is_that_of_the_first_episode() -> None:
+    short_task = make_task("water", step_limit=3)
+    recorded = record_trajectories(short_task, drift(short_task), SEEDS, num_threads=1)
 
     sea = short_task.draw_episode(SEEDS[0]).arrays
     x, y = recorded["sea_x"][7], recorded["sea_y"][300]
@@ -101,7 +210,7 @@ def test_recorded_sea_is_that_of_the_first_episode(short_task: NavigationTask) -
 
 
 def test_trajectories_survive_the_file(tmp_path: Path, short_task: NavigationTask) -> None:
-    recorded = record_trajectories(short_task, drift, SEEDS, num_threads=1)
+    recorded = record_trajectories(short_task, drift(short_task), SEEDS, num_threads=1)
 
     path = save_trajectories(tmp_path / "run", recorded)
 
@@ -114,22 +223,80 @@ def test_trajectories_survive_the_file(tmp_path: Path, short_task: NavigationTas
 
 def test_bad_requests_name_the_value(tmp_path: Path, short_task: NavigationTask) -> None:
     with pytest.raises(ValueError, match="at least one episode"):
-        record_trajectories(short_task, drift, [])
+        record_trajectories(short_task, drift(short_task), [])
     with pytest.raises(ValueError, match="height=63 must be even"):
-        write_video(short_task, drift, SEEDS, tmp_path / "x.mp4", height=63)
+        write_video(short_task, drift(short_task), SEEDS, tmp_path / "x.mp4", height=63)
 
 
 @pytest.mark.render
 def test_video_is_rendered(tmp_path: Path, short_task: NavigationTask) -> None:
     path = tmp_path / "videos" / "episodes.mp4"
 
-    how = write_video(short_task, drift, SEEDS, path, height=HEIGHT, width=WIDTH)
+    how = _write(short_task, path)
 
     assert how == "rendered"
-    frames = _check(path)
-    # The sky of the chase camera: the view from above has none.
-    sky = frames[0, :4, :].astype(int)
-    assert sky[:, WIDTH + 8 :].mean() > sky[:, : WIDTH - 8].mean() + 50
+    frames = _check(path, short_task)
+    # The chase camera sees the sky, the one from above does not.
+    sky = frames[0, 0].astype(int) @ [-1, 0, 1]
+    above, behind = sky[: WIDTH - 8], sky[WIDTH + 8 :]
+    assert abs(behind.mean() - above.mean()) > 15
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+def test_top_camera_holds_the_arena_and_chase_camera_the_robot(arena: str) -> None:
+    from gdrl_tasks.dm_env import make_environment
+
+    environment = make_environment(make_task("indoor", arena=arena))
+    try:
+        for seed in range(3):
+            environment.task.next_episode_seed = seed
+            environment.reset()
+            top, chase = (_parts(environment.physics, name) for name in ("top", "chase"))
+            walls = [top == f"obstacle_{number}" for number in range(4)]
+            assert all(wall.any() for wall in walls)
+            edge = np.ones_like(top, dtype=bool)
+            edge[3:-3, 3:-3] = False
+            assert set(top[edge]) <= {"floor"}
+            assert {"goal_disc", "deck", "scan"} <= set(top.ravel())
+            assert "scan" in chase
+            row, column = np.argwhere(chase == "deck").mean(axis=0) / chase.shape
+            assert 0.5 < row < 0.8
+            assert column == pytest.approx(0.5, abs=0.02)
+    finally:
+        environment.close()
+
+
+def test_beams_are_drawn_where_the_lidar_sees() -> None:
+    from gdrl_tasks.dm_env import make_environment
+
+    task = make_task("indoor", arena="paper", num_beams=72, field_of_view_deg=360.0)
+    environment = make_environment(task)
+    physics, arrays = environment.physics, environment.task.arrays
+    environment.task.next_episode_seed = 0
+    environment.reset()
+
+    task.draw_scenery(physics, arrays)
+
+    model, data = physics.model.ptr, physics.data.ptr
+    scene = mujoco.MjvScene(model, 1000)
+    option, view = mujoco.MjvOption(), mujoco.MjvCamera()
+    mujoco.mjv_updateScene(
+        model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene
+    )
+    skin = physics.model.name2id("beams", "skin")
+    first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
+    corners = scene.skinvert.reshape(-1, 3)[first : first + count].reshape(-1, 4, 3)
+    starts, ends = corners[:, [0, 3]].mean(axis=1), corners[:, 1:3].mean(axis=1)
+    places, shapes = np.repeat(arrays["obstacles"], len(ends), axis=0), task.arena.shapes
+    distance = clearance(ends[:, :2], places, shapes.is_box, shapes.half_size)
+    assert len(ends) == 36
+    hits = np.hypot(*(ends - starts)[:, :2].T) < 3.4
+    assert hits.sum() > 20
+    np.testing.assert_allclose(distance[hits], 0.0, atol=1e-4)
+    np.testing.assert_allclose(corners[..., 2], LIDAR_HEIGHT_M, atol=1e-3)
+    middle, _ = task.body_centre(data.qpos[None])
+    np.testing.assert_allclose(np.hypot(*(starts[:, :2] - middle).T), 0.06, atol=1e-3)
 
 
 @pytest.mark.render
@@ -142,13 +309,13 @@ def test_failure_while_rendering_leaves_a_drawn_video(
     def fail(*_: object) -> np.ndarray:
         raise RuntimeError("lost the context")
 
-    monkeypatch.setattr(video, "_render", fail)
+    monkeypatch.setattr(frames_of, "_render", fail)
     path = tmp_path / "episodes.mp4"
 
-    how = write_video(short_task, drift, SEEDS, path, height=HEIGHT, width=WIDTH)
+    how = _write(short_task, path)
 
     assert how == "drawn"
-    _check(path)
+    _check(path, short_task)
     assert "rendering failed: drawn from above" in caplog.text
     assert "lost the context" in caplog.text
 
@@ -163,10 +330,12 @@ def test_video_is_drawn_without_a_backend(
     path = tmp_path / "episodes.mp4"
 
     with caplog.at_level(logging.WARNING):
-        how = write_video(short_task, drift, SEEDS, path, height=HEIGHT, width=WIDTH)
+        how = write_video(
+            short_task, drift(short_task), SEEDS, path, height=HEIGHT, width=WIDTH
+        )
 
     assert how == "drawn"
-    _check(path)
+    _check(path, short_task)
     message = "no GL backend: drawn from above with matplotlib (none here)"
     assert message in caplog.text
 
@@ -199,17 +368,18 @@ print(write_video(task, act, {SEEDS}, {str(path)!r}, **size))
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["drawn"]
     assert "no GL backend: drawn from above with matplotlib" in done.stderr
-    _check(path)
+    _check(path, make_task("water"))
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-def test_long_episodes_are_shown_in_fewer_frames(short_task: NavigationTask) -> None:
-    recorded = record_trajectories(short_task, drift, [0, 1], num_threads=1)
+def test_long_episodes_are_shown_in_fewer_frames() -> None:
+    short_task = make_task("water", step_limit=3)
+    recorded = record_trajectories(short_task, drift(short_task), [0, 1], num_threads=1)
     recorded["steps"] = np.array([100, 31])
 
-    def film(**options: object) -> video._Film:
+    def film(**options: object) -> frames_of.Film:
         options = {"fps": None, "height": 2, "width": 2, "max_frames": 999} | options
-        return video._Film.of(recorded, **options)
+        return frames_of.Film.of(recorded, **options)
 
     every, third = film(), film(max_frames=50)
     assert (every.stride, every.fps, every.speed) == (1, 8, 2.0)
@@ -245,12 +415,29 @@ def test_backend_chosen_by_the_user_is_the_only_one_tried(
     assert tried == ["osmesa", "egl", "osmesa"]
 
 
-def _check(path: Path) -> np.ndarray:
+def _write(task: NavigationTask, path: Path) -> str:
+    return write_video(task, drift(task), SEEDS, path, height=HEIGHT, width=WIDTH)
+
+
+def _check(path: Path, task: NavigationTask) -> np.ndarray:
     """Two episodes of four frames each, the last of which stays for a second."""
     frames = iio.imread(path)
-    assert frames.shape == (2 * (4 + 8), HEIGHT + caption_height(2 * WIDTH), 2 * WIDTH, 3)
-    assert iio.immeta(path)["fps"] == 8.0
+    fps = round(2.0 / task.spec.control_interval_s)
+    size = (HEIGHT + caption_height(2 * WIDTH), 2 * WIDTH, 3)
+    assert frames.shape == (2 * (4 + fps), *size)
+    assert iio.immeta(path)["fps"] == fps
     assert iio.immeta(path)["codec"] == "h264"
     assert frames.std() > 10
     assert not list(path.parent.glob(".*partial*"))
     return frames
+
+
+def _parts(physics: Any, camera: str) -> np.ndarray:
+    """Names of the geoms that a camera sees, or ``scan``, ``[H, W]``."""
+    number, kind = physics.render(240, 320, camera_id=camera, segmentation=True).transpose(
+        2, 0, 1
+    )
+    count = physics.model.ngeom
+    names = np.array([*(physics.model.id2name(i, "geom") for i in range(count)), ""])
+    parts = names[np.where(kind == mujoco.mjtObj.mjOBJ_GEOM, number, count)]
+    return np.where(kind == mujoco.mjtObj.mjOBJ_SKIN, "scan", parts)
