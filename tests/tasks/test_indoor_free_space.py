@@ -203,20 +203,12 @@ def _knight_moves():
 
 
 def distance_to_shape(points, is_box, half_size, at):
-    """Distances to a shape, at least zero: to a circle, or to the sides of a box."""
+    """Distances to a shape, zero inside it."""
+    offset = points - at[:2]
     if not is_box:
-        return np.linalg.norm(points - at[:2], axis=1) - half_size[0]
-    along, across = half_size[0] * at[2:], half_size[1] * np.array([-at[3], at[2]])
-    corners = at[:2] + np.array(
-        [along + across, across - along, -along - across, along - across]
-    )
-    nearest = np.full(len(points), np.inf)
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        side = end - start
-        fraction = ((points - start) @ side / (side @ side)).clip(0.0, 1.0)
-        gap = points - start - fraction[:, None] * side
-        nearest = np.minimum(nearest, np.linalg.norm(gap, axis=1))
-    return np.where(is_inside(points, is_box, half_size, at), 0.0, nearest)
+        return np.maximum(np.linalg.norm(offset, axis=1) - half_size[0], 0.0)
+    own = offset @ np.array([[at[2], -at[3]], [at[3], at[2]]])
+    return np.linalg.norm(own - own.clip(-half_size, half_size), axis=1)
 
 
 def middles(space):
@@ -308,7 +300,7 @@ def nearly_closed(arena, places, number):
         return places, np.array([0.1, -0.3])
     # A ring of ten.
     angle = np.arange(10) * 0.2 * np.pi
-    ring = (0.65 + 0.06 * number) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ring = (0.55 + 0.06 * number) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     places[4:] = place(ring[:, 0], ring[:, 1], angle + 0.5 * np.pi)
     return places, np.array([0.03, 0.02])
 

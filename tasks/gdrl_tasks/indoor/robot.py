@@ -126,6 +126,9 @@ def _add_room(
             type=shape.mjGEOM_BOX if is_box else shape.mjGEOM_CYLINDER,
             size=size if is_box else [half_size[0], half_height, 0.0],
             pos=[ABSENT_M, ABSENT_M, half_height],
+            # Turned, or the compiler would note that they are not and the engine would
+            # never read the worlds' own turns.
+            quat=[0.96, 0.0, 0.0, 0.28],
             rgba=WALL_COLOUR if number < 4 else OBSTACLE_COLOUR,
             contype=_OBSTACLE_BIT,
             conaffinity=0,

@@ -20,7 +20,7 @@ _DARK, _GREY = [0.17, 0.18, 0.2, 1.0], [0.5, 0.52, 0.55, 1.0]
 _YELLOW, _VERMILION = [0.96, 0.78, 0.12, 1.0], [0.86, 0.33, 0.05, 1.0]
 
 _TOP_FOVY_DEG = 30.0
-_TOP_MARGIN_M = 0.0
+_TOP_MARGIN_M = 0.35
 """Of floor around the walls in the view from above."""
 _TOP_ASPECT = 4.0 / 3.0
 """Width over height of the narrowest picture that holds the arena's length."""
