@@ -63,9 +63,16 @@ def measure(run: Callable[[], int], repeats: int) -> float:
 
 def evaluator_rate(name: str, threads: int, repeats: int) -> float:
     """Through the evaluator."""
-    env = NavigationEnv(make_task(name), MEMBERS * EPISODES, num_threads=threads)
+    task, members_at_a_time = make_task(name), -(-MEMBERS // 2)
     actor, population = make_population(name)
-    evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
+    evaluator = PopulationEvaluator(
+        actor,
+        num_episodes=EPISODES,
+        create_env_fn=lambda: NavigationEnv(
+            task, members_at_a_time * EPISODES, num_threads=threads
+        ),
+        num_environments=2,
+    )
     rate = measure(lambda: int(evaluator.evaluate(population)["frames"].sum()), repeats)
     evaluator.close()
     return rate

@@ -117,25 +117,40 @@ class PopulationActor:
             rows = head(rows)
         return rows.set("policy_is_finite", finite)
 
+    def prepare(self, inputs: TensorDictBase) -> bool:
+        """Trace for inputs like ``[P, S]``; whether there is a graph for them.
+
+        Raises:
+            RuntimeError: If no members are loaded.
+        """
+        if self._params is None:
+            raise RuntimeError("no members are loaded: call load(genomes) first")
+        return self._graph(_leaves(inputs), inputs.batch_size) is not None
+
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
         assert self._params is not None
-        if self.trace:
-            leaves = _leaves(inputs)
-            # All that the operations depend on beside the numbers.
-            key = (
-                tuple((name, x.shape, x.dtype) for name, x in leaves.items()),
-                exploration_type(),
-                tuple(module.training for module in self._prefix.modules()),
-            )
-            if key not in self._graphs:
-                self._graphs[key] = self._traced(leaves, inputs.batch_size)
-            graph = self._graphs[key]
-            if graph is not None:
-                params = list(_leaves(self._params).values())
-                values = graph(params, list(leaves.values()))
-                return dict(zip(self._prefix.out_keys, values, strict=True))
-        return _leaves(self._vmapped(self._params, inputs))
+        leaves = _leaves(inputs)
+        graph = self._graph(leaves, inputs.batch_size)
+        if graph is None:
+            return _leaves(self._vmapped(self._params, inputs))
+        values = graph(list(_leaves(self._params).values()), list(leaves.values()))
+        return dict(zip(self._prefix.out_keys, values, strict=True))
+
+    def _graph(
+        self, leaves: dict[Any, torch.Tensor], batch_size: torch.Size
+    ) -> Graph | None:
+        if not self.trace:
+            return None
+        # All that the operations depend on beside the numbers.
+        key = (
+            tuple((name, x.shape, x.dtype) for name, x in leaves.items()),
+            exploration_type(),
+            tuple(module.training for module in self._prefix.modules()),
+        )
+        if key not in self._graphs:
+            self._graphs[key] = self._traced(leaves, batch_size)
+        return self._graphs[key]
 
     def _traced(
         self, leaves: dict[Any, torch.Tensor], batch_size: torch.Size

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -133,7 +134,7 @@ class BatchSimulation:
             self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
             self.task.begin_episode(self.arrays, rows, episode, int(seed))
         for shard, own in zip(self._shards, self._split(ids), strict=True):
-            shard.begin(own)
+            shard.write_model(own)
         self.arrays["episode_number"][ids] = start + np.arange(len(ids))
         self.num_episodes_begun += len(ids)
         return self.observe(ids)
@@ -274,17 +275,31 @@ class BatchSimulation:
 
 
 class quiet_engine:  # noqa: N801 - used like a function
-    """Send MuJoCo's warnings to our log: not to the terminal, nor to a file."""
+    """Send MuJoCo's warnings to our log: not to the terminal, nor to a file.
 
-    __slots__ = ("_previous",)
+    Any number of threads may be inside; the last one to leave restores what was.
+    """
+
+    __slots__ = ()
+    _lock = threading.Lock()
+    _inside = 0
+    _previous: Any = None
 
     # A class, because it is entered at every step and a generator costs twice as much.
     def __enter__(self) -> None:
-        self._previous = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(_log_warning)
+        own = quiet_engine
+        with own._lock:
+            if own._inside == 0:
+                own._previous = mujoco.get_mju_user_warning()
+                mujoco.set_mju_user_warning(_log_warning)
+            own._inside += 1
 
     def __exit__(self, *error: object) -> None:
-        mujoco.set_mju_user_warning(self._previous)
+        own = quiet_engine
+        with own._lock:
+            own._inside -= 1
+            if own._inside == 0:
+                mujoco.set_mju_user_warning(own._previous)
 
 
 def _log_warning(message: str) -> None:

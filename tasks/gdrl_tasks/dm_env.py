@@ -27,7 +27,6 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY"):
     if "MUJOCO_GL" not in os.environ and ctypes.util.find_library("EGL"):
         os.environ["MUJOCO_GL"] = "egl"
 
-import mujoco as mj
 from dm_control import mujoco
 from dm_control.rl import control
 from dm_control.suite import base
@@ -36,10 +35,9 @@ from dm_env import specs
 from gdrl_tasks.batch import quiet_engine
 from gdrl_tasks.kernels import state_is_sane
 from gdrl_tasks.navigation import Outcome
-from gdrl_tasks.task import RAY_GROUP, NavigationTask, believable
+from gdrl_tasks.task import NavigationTask
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
-_RAY_GROUPS = (np.arange(mj.mjNGROUP) == RAY_GROUP).astype(np.uint8)
 
 
 class _DivergenceWatch:
@@ -137,10 +135,6 @@ class SuiteTask(base.Task):
                 name: getattr(physics.model, name)[None] for name in self.task.model_fields
             }
             self.task.write_model_fields(fields, self.arrays, _ONE_WORLD)
-        if self.task.has_rays:
-            # The geoms' places follow from the model's only now.
-            mj.mj_kinematics(physics.model.ptr, physics.data.ptr)
-            self._sense(physics, self.arrays["steps"])
         if self.task.has_substep_forces:
             physics.before_substep = lambda: self._apply_forces(physics)
         physics.before_render = lambda: self.task.draw_scenery(physics, self.arrays)
@@ -164,8 +158,6 @@ class SuiteTask(base.Task):
         """Decide outcome and reward."""
         qpos = physics.data.qpos[None]
         diverged = np.array([physics.diverged or not _is_sane(physics)])
-        if self.task.has_rays and not physics.diverged:
-            self._sense(physics, self.arrays["steps"] + 1)
         reward = self.task.finish_step(self.arrays, _ONE_WORLD, qpos, diverged)
         self._reward = float(reward[0])
 
@@ -211,35 +203,6 @@ class SuiteTask(base.Task):
     def outcome(self) -> Outcome:
         """Outcome of the episode so far."""
         return Outcome(int(self.arrays["outcome"][0]))
-
-    def _sense(self, physics: TaskPhysics, steps: np.ndarray) -> None:
-        qpos = believable(physics.data.qpos[None])
-
-        def cast_rays(
-            ids: np.ndarray, origin: np.ndarray, direction: np.ndarray
-        ) -> np.ndarray:
-            count = direction.shape[1]
-            distance = np.empty(count)
-            geom = np.empty(count, dtype=np.int32)
-            model, data = physics.model.ptr, physics.data.ptr
-            rays = direction[0].ravel()
-            mj.mj_multiRay(
-                model,
-                data,
-                origin[0],
-                rays,
-                _RAY_GROUPS,
-                1,
-                -1,
-                geom,
-                distance,
-                None,
-                count,
-                mj.mjMAXVAL,
-            )
-            return distance[None]
-
-        self.task.sense(self.arrays, _ONE_WORLD, qpos, steps, cast_rays)
 
     def _apply_forces(self, physics: TaskPhysics) -> None:
         data = physics.data

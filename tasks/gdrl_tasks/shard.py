@@ -6,20 +6,13 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from gdrl_tasks.task import (
-    RAY_GROUP,
-    NavigationTask,
-    WorldArrays,
-    WorldIndex,
-    believable,
-)
+from gdrl_tasks.task import NavigationTask, WorldArrays, WorldIndex
 
 _DIVERGENCE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
-_RAY_GROUPS = (np.arange(mujoco.mjNGROUP) == RAY_GROUP).astype(np.uint8)
 
 
 class Shard:
@@ -59,23 +52,10 @@ class Shard:
         """Reset the engine of worlds, numbered within the shard."""
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
 
-    def begin(self, ids: WorldIndex) -> None:
-        """Bring models and sensors of worlds up to date with their new episodes."""
-        self.write_model(ids)
-        if self.task.has_rays and len(ids):
-            steps = self.arrays["steps"][ids]
-            self.task.sense(self.arrays, ids, self._qpos[ids], steps, self.cast_rays)
-
     def write_model(self, ids: WorldIndex) -> None:
         """Write the fields of the model that differ by world."""
         if self._fields and len(ids):
             self.task.write_model_fields(self._fields, self.arrays, ids)
-
-    def cast_rays(
-        self, ids: WorldIndex, origin: np.ndarray, direction: np.ndarray
-    ) -> np.ndarray:
-        """Distances that rays go in worlds, ``[K, B]``; negative for no hit."""
-        return self.batch.ray(origin[:, None], direction, _RAY_GROUPS, ids=ids)[0]
 
     def advance(self, ids: WorldIndex) -> None:
         """Step worlds, numbered within the shard, through a control interval."""
@@ -99,10 +79,6 @@ class Shard:
         else:
             self.batch.step(ids, substeps)
         self._qpos[...], self._qvel[...] = self._engine_qpos, self._engine_qvel
-        if self.task.has_rays:
-            steps = self.arrays["steps"][ids] + 1
-            qpos = believable(self._qpos[ids])
-            self.task.sense(self.arrays, ids, qpos, steps, self.cast_rays)
 
     def count_warnings(self) -> np.ndarray:
         """Warnings of divergence so far, per world of the shard."""

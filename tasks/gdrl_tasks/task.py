@@ -11,7 +11,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,12 +27,6 @@ from gdrl_tasks.kernels import (
 WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
 
-CastRays = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""Distances to what rays hit, metres ``[K, B]``, negative for nothing, from worlds
-``[K]``, origins ``[K, 3]`` and unit directions ``[K, B, 3]``. Rays see the geoms of
-group 2."""
-
-RAY_GROUP = 2
 LARGEST_SEEN = 1e6
 """Sensors see a state beyond this, and what is not a number, as this."""
 
@@ -173,8 +167,6 @@ class NavigationTask(abc.ABC):
     """Whether :meth:`apply_forces` must run before every physics substep."""
     model_fields: ClassVar[tuple[str, ...]] = ()
     """Fields of the model that differ by world, see :meth:`write_model_fields`."""
-    has_rays: ClassVar[bool] = False
-    """Whether :meth:`sense` must run after every control step."""
 
     goal_tolerance_m: float
     progress_weight: float
@@ -236,22 +228,13 @@ class NavigationTask(abc.ABC):
             ids: The worlds.
         """
 
-    def sense(
-        self,
-        arrays: WorldArrays,
-        ids: WorldIndex,
-        qpos: np.ndarray,
-        steps: np.ndarray,
-        cast_rays: CastRays,
-    ) -> None:
-        """Store what sensors that need rays read, after ``steps`` ``[K]`` of an episode.
+    def sense(self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray) -> None:
+        """Store what sensors with a memory read, at the start and after every step.
 
         Args:
-            arrays: Arrays of all worlds.
+            arrays: Arrays of all worlds; ``steps`` counts the step that was made.
             ids: The worlds.
-            qpos: Their generalised positions, ``[K, nq]``.
-            steps: Control steps of their episodes so far, ``[K]``.
-            cast_rays: The engine's rays.
+            qpos: Their generalised positions, ``[K, nq]``, always finite.
         """
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
@@ -289,6 +272,7 @@ class NavigationTask(abc.ABC):
         shortest = episode.arrays.get("shortest_path", distance)
         arrays["shortest_path"][ids] = np.maximum(shortest - self.goal_tolerance_m, 0.0)
         arrays["episode_seed"][ids] = seed
+        self.sense(arrays, ids, np.repeat(episode.qpos[None], len(ids), axis=0))
 
     def finish_step(
         self,
@@ -308,7 +292,7 @@ class NavigationTask(abc.ABC):
         if diverged.any():
             qpos = np.where(diverged[:, None], 0.0, qpos)
         position, _ = self.planar_pose(qpos)
-        return finish(
+        reward = finish(
             ids,
             position,
             self.collides(arrays, ids, qpos),
@@ -327,6 +311,8 @@ class NavigationTask(abc.ABC):
             arrays["steps"],
             arrays["outcome"],
         )
+        self.sense(arrays, ids, qpos)
+        return reward
 
     def collides(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray

@@ -659,7 +659,7 @@ def test_an_unknown_extra_key_is_named(actor_of, population_of, evaluator_for):
         actor_of("tanh_normal"), 2, num_episodes=1, extra_keys=("fuel",)
     )
     with pytest.raises(ValueError, match="fuel"):
-        evaluator.evaluate(population_of(evaluator.population.actor, 2))
+        evaluator.evaluate(population_of(evaluator.populations[0].actor, 2))
 
 
 def test_members_without_episodes_are_refused(actor_of, population_of, evaluator_for):

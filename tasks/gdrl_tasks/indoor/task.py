@@ -20,12 +20,11 @@ from gdrl_tasks.checks import (
 )
 from gdrl_tasks.indoor import lidar
 from gdrl_tasks.indoor.arena import ARENAS
-from gdrl_tasks.indoor.kernel import ahead_of, clearances, lidar_rays, limit_ranges
+from gdrl_tasks.indoor.kernel import ahead_of, clearances, scan
 from gdrl_tasks.indoor.robot import (
     BODY_X_M,
     BURGER_WHEEL_SPEED_M_S,
     FOOTPRINT_M,
-    LIDAR_HEIGHT_M,
     WHEEL_RADIUS_M,
     WHEEL_SEPARATION_M,
     model_xml,
@@ -33,7 +32,6 @@ from gdrl_tasks.indoor.robot import (
 )
 from gdrl_tasks.indoor.scenery import draw_scan
 from gdrl_tasks.task import (
-    CastRays,
     Episode,
     NavigationTask,
     TaskSpec,
@@ -112,7 +110,6 @@ class IndoorTask(NavigationTask):
 
     name = "indoor"
     model_fields = ("geom_pos", "geom_quat")
-    has_rays = True
 
     def __init__(self, options: IndoorOptions | None = None) -> None:
         self.options = options = options or IndoorOptions()
@@ -229,27 +226,27 @@ class IndoorTask(NavigationTask):
         room = clearances(centre, ids, arrays["obstacles"], shapes.is_box, shapes.half_size)
         return room <= FOOTPRINT_M + COLLISION_MARGIN_M
 
-    def sense(
-        self,
-        arrays: WorldArrays,
-        ids: WorldIndex,
-        qpos: np.ndarray,
-        steps: np.ndarray,
-        cast_rays: CastRays,
-    ) -> None:
+    def sense(self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray) -> None:
         """Scan, where a new scan is due."""
-        number = steps
+        number = arrays["steps"][ids]
         if self.options.scan_hold:
-            time_s = steps * self.spec.control_interval_s
+            time_s = number * self.spec.control_interval_s
+            is_first = number == 0
             number = np.floor(time_s / lidar.SCAN_INTERVAL_S + 1e-9).astype(np.int64)
-            due = (steps == 0) | (number > arrays["scan_number"][ids])
+            due = is_first | (number > arrays["scan_number"][ids])
             ids, qpos, number = ids[due], qpos[due], number[due]
-            if len(ids) == 0:
-                return
         centre, yaw = self.body_centre(qpos)
-        origin, direction = lidar_rays(centre, yaw, self._angles, LIDAR_HEIGHT_M)
-        ranges = cast_rays(ids, origin, direction)
-        limit_ranges(ranges, lidar.NEAREST_M, lidar.FARTHEST_M)
+        shapes = self.arena.shapes
+        ranges = scan(
+            centre,
+            yaw,
+            self._angles,
+            ids,
+            arrays["obstacles"],
+            shapes.is_box,
+            shapes.half_size,
+            (lidar.NEAREST_M, lidar.FARTHEST_M),
+        )
         if self.options.range_noise:
             ranges += lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
             np.clip(ranges, lidar.NEAREST_M, lidar.FARTHEST_M, out=ranges)
