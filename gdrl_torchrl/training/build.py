@@ -7,6 +7,7 @@ import functools
 import math
 from collections.abc import Callable
 
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
@@ -113,11 +114,16 @@ def make_genetic_hook(
         num_environments=halves,
         seed=config.seed,
     )
-    on_switch, share = [], None
+    on_switch: list[Callable[[], object]] = []
+    share = None
     if agent.follow_switch is not None:
         on_switch.append(functools.partial(agent.follow_switch, evolution.target_tau))
     if agent.share_experience is not None and evolution.experience_share > 0.0:
-        share = functools.partial(agent.share_experience, share=evolution.experience_share)
+        take = agent.share_experience
+
+        def share(transitions: TensorDictBase) -> object:
+            return take(transitions, evolution.experience_share)
+
     return GeneticHook(
         agent.actor,
         evaluator,

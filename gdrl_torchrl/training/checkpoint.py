@@ -21,8 +21,8 @@ class TrainingState:
     """All state of a :class:`Training` as one ``state_dict``.
 
     Networks, optimiser, genetic hook, simulator, replay or order of minibatches,
-    collector counters and the global torch generator. A dm_control environment has no state to
-    restore: a run on that backend resumes with new episodes.
+    collector counters and the global torch generator. A dm_control environment has no
+    state to restore: a run on that backend resumes with new episodes.
 
     Args:
         training: The objects.

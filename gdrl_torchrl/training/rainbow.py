@@ -150,7 +150,8 @@ class RainbowLearner(OptimizationStepper):
         sampler.beta = min(1.0, beta)
         if self.exploration is not None:
             epsilon = config.epsilon_start * config.epsilon_decay**self.num_episodes
-            self.exploration.eps.fill_(max(config.epsilon_end, epsilon))
+            current: Any = self.exploration.eps
+            current.fill_(max(config.epsilon_end, epsilon))
 
     def state_dict(self) -> dict[str, Any]:
         """Buffer, counters and generator."""
@@ -195,7 +196,8 @@ def make_rainbow_agent(
             eps_init=algorithm.epsilon_start,
             eps_end=algorithm.epsilon_end,
         )
-        policy = TensorDictSequential(actor, exploration)
+        parts: list[Any] = [actor, exploration]
+        policy = TensorDictSequential(*parts)
     collector = Collector(
         env,
         policy,

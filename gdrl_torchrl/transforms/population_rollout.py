@@ -93,7 +93,7 @@ class PopulationRollout:
         self, td: TensorDictBase, finite: torch.Tensor, alive: torch.Tensor
     ) -> TensorDictBase:
         population, used = self.population, self.used
-        rows = td.select(*population.in_keys).reshape(-1)
+        rows: Any = td.select(*population.in_keys).reshape(-1)
         rows = population(rows[:used] if used < rows.shape[0] else rows)
         acted = rows.pop("policy_is_finite")
         finite[:used] &= acted | ~alive[:used]

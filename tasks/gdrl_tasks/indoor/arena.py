@@ -209,6 +209,6 @@ class CorridorArena(Arena):
         return x >= 4.2 if is_goal else x <= -4.2
 
 
-ARENAS: dict[str, type[Arena]] = {
+ARENAS: dict[str, type[PaperArena] | type[ScatterArena] | type[CorridorArena]] = {
     arena.name: arena for arena in (PaperArena, ScatterArena, CorridorArena)
 }

@@ -175,16 +175,9 @@ def fast_sweep(
     and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal.
     """
     rows, columns = blocked.shape
-    arrival = np.full((rows, columns), np.inf)
-    for r in range(rows):
-        for c in range(columns):
-            if blocked[r, c]:
-                continue
-            exact = math.hypot(goal_dx[c], goal_dy[r])
-            if exact <= 1.5 * cell:
-                arrival[r, c] = exact / speed[r, c]
-            elif goal_in_sight(blocked, speed, r, c, goal_dy[r] / cell, goal_dx[c] / cell):
-                arrival[r, c] = exact
+    # With a border that nothing ever comes from.
+    arrival = np.full((rows + 2, columns + 2), np.inf)
+    _arrive_straight(blocked, speed, goal_dx, goal_dy, cell, arrival)
     unchanged = 0
     for sweep in range(4 * most_rounds):
         changed = False
@@ -192,30 +185,46 @@ def fast_sweep(
             r = i if sweep % 4 < 2 else rows - 1 - i
             for j in range(columns):
                 c = j if sweep % 2 == 0 else columns - 1 - j
-                if blocked[r, c]:
-                    continue
-                a, b = np.inf, np.inf
-                if r > 0:
-                    a = arrival[r - 1, c]
-                if r < rows - 1:
-                    a = min(a, arrival[r + 1, c])
-                if c > 0:
-                    b = arrival[r, c - 1]
-                if c < columns - 1:
-                    b = min(b, arrival[r, c + 1])
-                low, high = min(a, b), max(a, b)
-                if low == np.inf:
-                    continue
-                step = cell / speed[r, c]
-                if high - low >= step:
-                    new = low + step
-                else:
-                    gap = high - low
-                    new = 0.5 * (low + high + math.sqrt(2.0 * step * step - gap * gap))
-                if new < arrival[r, c] - 1e-9:
-                    arrival[r, c] = new
-                    changed = True
+                if not blocked[r, c]:
+                    new = _arrival_from_neighbours(arrival, r, c, cell / speed[r, c])
+                    if new < arrival[r + 1, c + 1] - 1e-9:
+                        arrival[r + 1, c + 1] = new
+                        changed = True
         unchanged = 0 if changed else unchanged + 1
         if unchanged == 4:
             break
-    return arrival
+    return arrival[1:-1, 1:-1].copy()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _arrive_straight(
+    blocked: np.ndarray,
+    speed: np.ndarray,
+    goal_dx: np.ndarray,
+    goal_dy: np.ndarray,
+    cell: float,
+    arrival: np.ndarray,
+) -> None:
+    """Write the times of cells from which the way to the goal is straight."""
+    for r in range(len(goal_dy)):
+        for c in range(len(goal_dx)):
+            if blocked[r, c]:
+                continue
+            exact = math.hypot(goal_dx[c], goal_dy[r])
+            if exact <= 1.5 * cell:
+                arrival[r + 1, c + 1] = exact / speed[r, c]
+            elif goal_in_sight(blocked, speed, r, c, goal_dy[r] / cell, goal_dx[c] / cell):
+                arrival[r + 1, c + 1] = exact
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _arrival_from_neighbours(arrival: np.ndarray, r: int, c: int, step: float) -> float:
+    """Time of a cell from the earlier ones at its sides, a step apart."""
+    a = min(arrival[r, c + 1], arrival[r + 2, c + 1])
+    b = min(arrival[r + 1, c], arrival[r + 1, c + 2])
+    low, high = min(a, b), max(a, b)
+    # Both are infinite where no way has led yet, and then their difference is no number.
+    if not high - low < step:
+        return low + step
+    gap = high - low
+    return 0.5 * (low + high + math.sqrt(2.0 * step * step - gap * gap))
