@@ -115,15 +115,8 @@ def make_genetic_hook(
         seed=config.seed,
     )
     on_switch: list[Callable[[], object]] = []
-    share = None
     if agent.follow_switch is not None:
         on_switch.append(functools.partial(agent.follow_switch, evolution.target_tau))
-    if agent.share_experience is not None and evolution.experience_share > 0.0:
-        take = agent.share_experience
-
-        def share(transitions: TensorDictBase) -> object:
-            return take(transitions, evolution.experience_share)
-
     return GeneticHook(
         agent.actor,
         evaluator,
@@ -139,10 +132,17 @@ def make_genetic_hook(
         optimizer=agent.optimizer,
         critic=agent.critic,
         on_switch=on_switch,
-        share_experience=share,
+        share_experience=_sharing(agent, evolution.experience_share),
         seed=config.seed,
     )
 
 
 def _schedule(evolution: EvolutionConfig) -> MutationSchedule:
     return MutationSchedule(tuple(evolution.rates), tuple(evolution.thresholds))
+
+
+def _sharing(agent: Agent, share: float) -> Callable[[TensorDictBase], object] | None:
+    take = agent.share_experience
+    if take is None or share == 0.0:
+        return None
+    return lambda transitions: take(transitions, share)
