@@ -63,16 +63,9 @@ def measure(run: Callable[[], int], repeats: int) -> float:
 
 def evaluator_rate(name: str, threads: int, repeats: int) -> float:
     """Through the evaluator."""
-    task, members_at_a_time = make_task(name), -(-MEMBERS // 2)
+    env = NavigationEnv(make_task(name), MEMBERS * EPISODES, num_threads=threads)
     actor, population = make_population(name)
-    evaluator = PopulationEvaluator(
-        actor,
-        num_episodes=EPISODES,
-        create_env_fn=lambda: NavigationEnv(
-            task, members_at_a_time * EPISODES, num_threads=threads
-        ),
-        num_environments=2,
-    )
+    evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
     rate = measure(lambda: int(evaluator.evaluate(population)["frames"].sum()), repeats)
     evaluator.close()
     return rate

@@ -35,6 +35,7 @@ class PopulationActor:
             sequence of them.
         trace: Whether to trace. A policy that keeps a state in Python objects must not
             be.
+        action_key: Where the actor writes its action.
 
     Examples:
         >>> from gdrl_torchrl.evolution.genome import genome_of, stack_copies
@@ -48,9 +49,16 @@ class PopulationActor:
         torch.Size([20, 2])
     """
 
-    def __init__(self, actor: TensorDictModuleBase, *, trace: bool = True) -> None:
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        *,
+        trace: bool = True,
+        action_key: str = "action",
+    ) -> None:
         self.actor = actor
         self.trace = trace
+        self.action_key = action_key
         self._prefix, self._heads = _split(actor)
         self.in_keys = list(self._prefix.in_keys)
         self._names = {name for name, _ in self._prefix.named_parameters()}
@@ -117,59 +125,93 @@ class PopulationActor:
             rows = head(rows)
         return rows.set("policy_is_finite", finite)
 
-    def prepare(self, inputs: TensorDictBase) -> bool:
-        """Trace for inputs like ``[P, S]``; whether there is a graph for them.
+    @torch.no_grad()
+    def actions(self, inputs: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
+        """Act and give the actions alone, heads traced too where that is possible.
 
-        Raises:
-            RuntimeError: If no members are loaded.
+        Args:
+            inputs: What the actor reads, ``[P, S]``.
+
+        Returns:
+            Actions ``[P, S, ...]`` and the mask of rows whose network output was a
+            number ``[P, S]``.
         """
-        if self._params is None:
-            raise RuntimeError("no members are loaded: call load(genomes) first")
-        return self._graph(_leaves(inputs), inputs.batch_size) is not None
+        graph = self._graph(inputs, whole=True)
+        if graph is not None:
+            action, finite = graph(self._values(), list(_leaves(inputs).values()))
+            if bool(finite.all()):
+                return action, finite
+        rows = self(inputs.clone().reshape(-1))
+        size = inputs.batch_size
+        return (
+            rows[self.action_key].unflatten(0, size),
+            rows["policy_is_finite"].unflatten(0, size),
+        )
+
+    def _values(self) -> list[torch.Tensor]:
+        assert self._params is not None
+        return list(_leaves(self._params).values())
 
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
         assert self._params is not None
-        leaves = _leaves(inputs)
-        graph = self._graph(leaves, inputs.batch_size)
+        graph = self._graph(inputs)
         if graph is None:
             return _leaves(self._vmapped(self._params, inputs))
-        values = graph(list(_leaves(self._params).values()), list(leaves.values()))
+        values = graph(self._values(), list(_leaves(inputs).values()))
         return dict(zip(self._prefix.out_keys, values, strict=True))
 
-    def _graph(
-        self, leaves: dict[Any, torch.Tensor], batch_size: torch.Size
-    ) -> Graph | None:
+    def _graph(self, inputs: TensorDictBase, *, whole: bool = False) -> Graph | None:
         if not self.trace:
             return None
         # All that the operations depend on beside the numbers.
         key = (
-            tuple((name, x.shape, x.dtype) for name, x in leaves.items()),
+            tuple((name, x.shape, x.dtype) for name, x in _leaves(inputs).items()),
             exploration_type(),
-            tuple(module.training for module in self._prefix.modules()),
+            self._prefix.training,
+            whole,
         )
         if key not in self._graphs:
-            self._graphs[key] = self._traced(leaves, batch_size)
+            run = self._run_whole if whole else self._run_prefix
+            self._graphs[key] = self._traced(run, inputs)
         return self._graphs[key]
 
-    def _traced(
-        self, leaves: dict[Any, torch.Tensor], batch_size: torch.Size
-    ) -> Graph | None:
-        """The vectorised part as a graph, or None if it is not one."""
+    def _run_prefix(
+        self, params: TensorDictBase, inputs: TensorDictBase
+    ) -> list[torch.Tensor]:
+        out = self._vmapped(params, inputs)
+        return [out.get(key) for key in self._prefix.out_keys]
+
+    def _run_whole(
+        self, params: TensorDictBase, inputs: TensorDictBase
+    ) -> list[torch.Tensor]:
+        size = inputs.batch_size
+        out = self._vmapped(params, inputs).reshape(-1)
+        finite = torch.ones(out.batch_size, dtype=torch.bool)
+        for value in _leaves(out).values():
+            if value.dtype.is_floating_point:
+                finite = finite & torch.isfinite(value).reshape(len(value), -1).all(dim=1)
+        rows = inputs.clone().reshape(-1).update(out)
+        for head in self._heads:
+            rows = head(rows)
+        return [rows[self.action_key].unflatten(0, size), finite.unflatten(0, size)]
+
+    def _traced(self, run: Any, inputs: TensorDictBase) -> Graph | None:
+        """A function of genomes and inputs as a graph, or None if it is not one."""
         assert self._params is not None
         params, count = _leaves(self._params), self._params.batch_size
+        leaves, size = _leaves(inputs), inputs.batch_size
 
-        def run(
+        def flat(
             param_values: list[torch.Tensor], input_values: list[torch.Tensor]
         ) -> list[torch.Tensor]:
             genomes = _nested(params, param_values, count)
-            out = self._vmapped(genomes, _nested(leaves, input_values, batch_size))
-            return [out.get(key) for key in self._prefix.out_keys]
+            return run(genomes, _nested(leaves, input_values, size))
 
         arguments = (list(params.values()), list(leaves.values()))
         try:
-            expected = run(*arguments)
-            graph = make_fx(run)(*arguments)
+            expected = flat(*arguments)
+            graph = make_fx(flat)(*arguments)
             same = all(
                 torch.equal(torch.nan_to_num(one), torch.nan_to_num(other))
                 for one, other in zip(graph(*arguments), expected, strict=True)

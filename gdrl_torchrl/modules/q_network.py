@@ -7,7 +7,11 @@ from typing import Any
 import torch
 from torch import nn
 from torchrl.data import Categorical, TensorSpec
-from torchrl.modules import DistributionalQValueActor, NoisyLinear
+from torchrl.modules import (
+    DistributionalQValueActor,
+    DistributionalQValueModule,
+    NoisyLinear,
+)
 from torchrl.modules.models.models import DuelingMlpDQNet
 
 from gdrl_torchrl import keys
@@ -100,9 +104,26 @@ def make_q_actor(
         },
         mlp_kwargs_output=streams,
     )
-    return DistributionalQValueActor(
+    actor = DistributionalQValueActor(
         network,
         support=torch.linspace(low, high, num_atoms),
         in_keys=[keys.OBSERVATION],
         spec=spec,
     )
+    head: Any = actor.module[-1]
+    head.__class__ = _TraceableHead
+    return actor
+
+
+class _TraceableHead(DistributionalQValueModule):
+    """TorchRL's choice of the action with the best mean, without a look at the data.
+
+    Its check that the logarithms are not positive would keep the actor from being
+    traced; here a layer before has normalised them.
+    """
+
+    def _support_expected(
+        self, log_softmax_values: torch.Tensor, support: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        chosen: Any = self.support if support is None else support
+        return (log_softmax_values.exp() * chosen.unsqueeze(-1)).sum(-2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 
 from tensordict import TensorDictBase
@@ -95,11 +94,7 @@ def make_genetic_hook(
 ) -> GeneticHook:
     """The genetic hook and its evaluator, which has an environment of its own."""
     evolution = config.evolution
-    # Two halves: the policy of one runs while the other is stepping.
-    halves = 2 if config.task.backend == "batch" else 1
     worlds = evolution.num_worlds or (1 + evolution.num_children) * evolution.num_trials
-    members = max(1, math.ceil(worlds / evolution.num_trials / halves))
-    worlds = min(worlds, members * evolution.num_trials)
     evaluator = PopulationEvaluator(
         agent.actor,
         num_episodes=evolution.num_trials,
@@ -111,7 +106,6 @@ def make_genetic_hook(
             seed=config.seed,
         ),
         fitness=evolution.fitness,
-        num_environments=halves,
         seed=config.seed,
     )
     on_switch: list[Callable[[], object]] = []

@@ -15,8 +15,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_torchrl import keys
 from gdrl_torchrl.modules.population_actor import PopulationActor
-from gdrl_torchrl.transforms.lanes import Lane, run_lanes
-from gdrl_torchrl.transforms.population_rollout import ordered_episodes
+from gdrl_torchrl.transforms.population_rollout import (
+    PopulationRollout,
+    ordered_episodes,
+)
+from gdrl_torchrl.transforms.simulation_rollout import SimulationRollout, simulation_of
 
 Fitness = str | Callable[[TensorDictBase], torch.Tensor]
 
@@ -56,14 +59,9 @@ class PopulationEvaluator(Transform):
         inverse: Whether to evaluate on a replay buffer's ``extend``.
         extra_keys: Further entries of the environment to report ``[P, S]``, as they
             are at the end of an episode.
-        num_environments: Environments of ``create_env_fn`` among which members and
-            episodes are split. With two, the policy of one half runs while the other
-            half is stepping: each has a thread if the actor can be traced and acts
-            greedily, and they take turns otherwise. Results are the same.
 
     Raises:
-        ValueError: If ``num_episodes``, ``num_environments`` or ``max_steps`` < 1, or
-            several environments are wanted without ``create_env_fn``.
+        ValueError: If ``num_episodes`` < 1 or ``max_steps`` < 1.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -80,7 +78,7 @@ class PopulationEvaluator(Transform):
         [[5, 5], [5, 5], [5, 5]]
     """
 
-    populations: list[PopulationActor]
+    population: PopulationActor
 
     def __init__(
         self,
@@ -97,16 +95,9 @@ class PopulationEvaluator(Transform):
         success_key: NestedKey = keys.SUCCESS,
         inverse: bool = False,
         extra_keys: tuple[str, ...] = (),
-        num_environments: int = 1,
     ) -> None:
-        for name, value in (
-            ("num_episodes", num_episodes),
-            ("num_environments", num_environments),
-        ):
-            if value < 1:
-                raise ValueError(f"{name}={value} must be >= 1")
-        if num_environments > 1 and create_env_fn is None:
-            raise ValueError(f"num_environments={num_environments} needs create_env_fn")
+        if num_episodes < 1:
+            raise ValueError(f"num_episodes={num_episodes} must be >= 1")
         if max_steps is not None and max_steps < 1:
             raise ValueError(f"max_steps={max_steps} must be >= 1")
         if fitness not in ("goals", "return") and not callable(fitness):
@@ -120,8 +111,7 @@ class PopulationEvaluator(Transform):
         super().__init__()
         # Kept out of the module tree: TransformedEnv would put the policy in eval mode
         # and the environment's state_dict would hold it.
-        populations = [PopulationActor(actor) for _ in range(num_environments)]
-        self.__dict__["populations"] = populations
+        self.__dict__["population"] = PopulationActor(actor)
         self.num_episodes = num_episodes
         self.max_steps = max_steps
         self.fitness = fitness
@@ -134,7 +124,7 @@ class PopulationEvaluator(Transform):
         self.inverse = inverse
         self.extra_keys = tuple(extra_keys)
         self._create_env_fn = create_env_fn
-        self.__dict__["_own_envs"] = []
+        self.__dict__["_own_env"] = None
 
     # The step path: nothing happens.
 
@@ -172,7 +162,9 @@ class PopulationEvaluator(Transform):
             RuntimeError: If there is none.
         """
         if self._create_env_fn is not None:
-            return self._environments()[0]
+            if self.__dict__["_own_env"] is None:
+                self.__dict__["_own_env"] = self._create_env_fn()
+            return self.__dict__["_own_env"]
         parent = self.parent
         if parent is None:
             raise RuntimeError(
@@ -181,20 +173,12 @@ class PopulationEvaluator(Transform):
             )
         return parent
 
-    def _environments(self) -> list[EnvBase]:
-        if self._create_env_fn is None:
-            return [self.env]
-        own: list[EnvBase] = self.__dict__["_own_envs"]
-        while len(own) < len(self.populations):
-            own.append(self._create_env_fn())
-        return own
-
     def close(self) -> None:
-        """Close the evaluator's own environments."""
-        for env in self.__dict__["_own_envs"]:
-            if not env.is_closed:
-                env.close()
-        self.__dict__["_own_envs"] = []
+        """Close the evaluator's own environment."""
+        env = self.__dict__["_own_env"]
+        if env is not None and not env.is_closed:
+            env.close()
+        self.__dict__["_own_env"] = None
 
     @torch.no_grad()
     def evaluate(
@@ -233,8 +217,7 @@ class PopulationEvaluator(Transform):
     def _evaluate(
         self, params: TensorDictBase, seeds: torch.Tensor | None, *, keep_transitions: bool
     ) -> tuple[TensorDictBase, TensorDictBase]:
-        envs, count = self._environments(), params.batch_size[0]
-        env = envs[0]
+        env, count = self.env, params.batch_size[0]
         if seeds is None:
             start = self.num_evaluations * self.num_episodes
             seeds = torch.from_numpy(
@@ -245,24 +228,27 @@ class PopulationEvaluator(Transform):
         if seeds.ndim != 1 or len(seeds) == 0:
             raise ValueError(f"seeds of shape {tuple(seeds.shape)} must be [S], S >= 1")
         scores = self._empty_scores(env, count, len(seeds))
+        log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
         members = 1 if self.seeding_of(env) == "set_seed" else max(1, worlds // trials)
-        parts = [
-            (
-                slice(first, min(first + members, count)),
-                slice(begin, min(begin + trials, len(seeds))),
-            )
-            for first in range(0, count, members)
-            for begin in range(0, len(seeds), trials)
-        ]
-        lanes = [
-            Lane(self, *pair, params, seeds, scores, parts[number :: len(envs)])
-            for number, pair in enumerate(zip(envs, self.populations, strict=True))
-        ]
-        with set_exploration_type(self.exploration_type):
-            run_lanes(lanes, keep_transitions=keep_transitions)
-        log = [transitions for lane in lanes for transitions in lane.log]
+        simulation = None if keep_transitions else simulation_of(self, env)
+        try:
+            with set_exploration_type(self.exploration_type):
+                for first in range(0, count, members):
+                    rows = slice(first, min(first + members, count))
+                    self.population.load(params[rows])
+                    for begin in range(0, len(seeds), trials):
+                        columns = slice(begin, min(begin + trials, len(seeds)))
+                        part = (scores[rows, columns], seeds[columns])
+                        if simulation is not None:
+                            SimulationRollout(self, env, params[rows], *part).run()
+                            continue
+                        PopulationRollout(self, env, *part).run(
+                            log if keep_transitions else None, (first, begin)
+                        )
+        finally:
+            self.population.unload()
         return self._summary(scores, env), ordered_episodes(log)
 
     def seeding_of(self, env: EnvBase) -> str:

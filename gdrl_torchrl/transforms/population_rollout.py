@@ -13,7 +13,6 @@ from torchrl.envs.utils import step_mdp
 from gdrl_torchrl import keys
 
 if TYPE_CHECKING:
-    from gdrl_torchrl.modules.population_actor import PopulationActor
     from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 
@@ -24,12 +23,10 @@ class PopulationRollout:
         self,
         evaluator: PopulationEvaluator,
         env: EnvBase,
-        population: PopulationActor,
         scores: TensorDictBase,
         seeds: torch.Tensor,
     ) -> None:
-        self.evaluator, self.env, self.population = evaluator, env, population
-        self.scores, self.seeds = scores, seeds
+        self.evaluator, self.env, self.scores, self.seeds = evaluator, env, scores, seeds
         self.used = scores.numel()
 
     def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
@@ -92,7 +89,7 @@ class PopulationRollout:
     def _act(
         self, td: TensorDictBase, finite: torch.Tensor, alive: torch.Tensor
     ) -> TensorDictBase:
-        population, used = self.population, self.used
+        population, used = self.evaluator.population, self.used
         rows: Any = td.select(*population.in_keys).reshape(-1)
         rows = population(rows[:used] if used < rows.shape[0] else rows)
         acted = rows.pop("policy_is_finite")

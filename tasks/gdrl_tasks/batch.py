@@ -86,6 +86,9 @@ class BatchSimulation:
         self.qvel = np.zeros((num_worlds, self.model.nv))
         self._all = np.arange(num_worlds)
         count = max(1, min(self.num_threads, num_worlds // _WORLDS_PER_THREAD))
+        self._engine_threads = 1
+        if not task.has_substep_forces:
+            count, self._engine_threads = 1, count
         self._bounds = np.linspace(0, num_worlds, count + 1).astype(np.int64)
         self._shards = [
             self._make_shard(slice(low, high))
@@ -223,7 +226,14 @@ class BatchSimulation:
 
     def _make_shard(self, rows: slice) -> Shard:
         views = {name: value[rows] for name, value in self.arrays.items()}
-        return Shard(self.task, self.model, views, self.qpos[rows], self.qvel[rows])
+        return Shard(
+            self.task,
+            self.model,
+            views,
+            self.qpos[rows],
+            self.qvel[rows],
+            self._engine_threads,
+        )
 
     def _split(self, ids: WorldIndex) -> list[WorldIndex]:
         """The worlds of each shard among ``ids``, numbered within the shard."""

@@ -1,4 +1,4 @@
-"""The worlds that one thread steps: an engine of their own and a loop over substeps."""
+"""Worlds that are stepped together: an engine and a loop over substeps."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ _DIVERGENCE_WARNINGS = [
 
 
 class Shard:
-    """A run of neighbouring worlds, stepped on the thread that calls.
+    """A run of neighbouring worlds with an engine of their own.
 
-    Forces must be refreshed before every substep, so with one engine for all worlds
-    the threads would meet twice a substep; with one each they meet once a control step.
+    Where forces must be refreshed before every substep, the threads of one engine for
+    all worlds would meet twice a substep; with a shard each they meet once a control
+    step. Without such forces one shard with all threads is the fastest.
 
     Args:
         task: The task.
@@ -27,6 +28,7 @@ class Shard:
         arrays: The task's arrays of this shard's worlds (views of the whole).
         qpos: Positions of this shard's worlds (a view of the whole), written.
         qvel: Velocities of this shard's worlds (a view of the whole), written.
+        num_threads: Threads of the engine itself.
     """
 
     def __init__(
@@ -36,10 +38,11 @@ class Shard:
         arrays: WorldArrays,
         qpos: np.ndarray,
         qvel: np.ndarray,
+        num_threads: int = 1,
     ) -> None:
         self.task = task
         self.arrays = arrays
-        self.batch = Batch(model, len(qpos), 1)
+        self.batch = Batch(model, len(qpos), num_threads)
         self._qpos, self._qvel = qpos, qvel
         self._engine_qpos = self.batch.bind("qpos")
         self._engine_qvel = self.batch.bind("qvel")

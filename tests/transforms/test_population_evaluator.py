@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, GymEnv, SerialEnv
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase, GymEnv, RewardScaling, SerialEnv, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.testing.mocking_classes import (
     ContinuousActionVecMockEnv,
@@ -659,7 +659,7 @@ def test_an_unknown_extra_key_is_named(actor_of, population_of, evaluator_for):
         actor_of("tanh_normal"), 2, num_episodes=1, extra_keys=("fuel",)
     )
     with pytest.raises(ValueError, match="fuel"):
-        evaluator.evaluate(population_of(evaluator.populations[0].actor, 2))
+        evaluator.evaluate(population_of(evaluator.population.actor, 2))
 
 
 def test_members_without_episodes_are_refused(actor_of, population_of, evaluator_for):
@@ -685,3 +685,50 @@ def test_a_closed_evaluator_can_be_used_again(actor_of, population_of, evaluator
     first = evaluator.evaluate(population, seeds=seeds)
     evaluator.close()
     assert (evaluator.evaluate(population, seeds=seeds) == first).all()
+
+
+# The way straight to the simulation
+
+
+@pytest.mark.parametrize("worlds", [132, 60])
+def test_shrinking_blocks_score_as_whole_batches_of_the_environment(
+    worlds, actor_of, population_of, evaluator_for
+):
+    """Without transitions worlds act in blocks that are halved as episodes end."""
+    task = gdrl_tasks.make_task("indoor", step_limit=120, num_beams=5)
+    actor = actor_of("distributional", 7, Categorical(5))
+    population = population_of(actor, 11)
+    evaluator = evaluator_for(
+        actor,
+        worlds,
+        task=task,
+        num_episodes=12,
+        extra_keys=("path_length", "episode_return"),
+    )
+    seeds = torch.arange(12)
+    blocks = evaluator.evaluate(population, seeds=seeds)
+    whole, _ = evaluator.evaluate_with_transitions(population, seeds=seeds)
+    assert blocks["steps"].unique().numel() > 20, "episodes end at different times"
+    for key in ("steps", "outcomes", "successes", "frames"):
+        assert torch.equal(blocks[key], whole[key]), key
+    for key in ("returns", "fitness", "path_length", "episode_return"):
+        assert torch.allclose(blocks[key], whole[key], atol=1e-5), key
+
+
+def test_a_transformed_environment_is_never_bypassed(
+    actor_of, population_of, easy_task_for
+):
+    env = TransformedEnv(
+        NavigationEnv(easy_task_for(), 6, num_threads=1), RewardScaling(0.0, 2.0)
+    )
+    actor = actor_of("tanh_normal")
+    evaluator = PopulationEvaluator(actor, num_episodes=3, create_env_fn=lambda: env)
+    plain = PopulationEvaluator(
+        actor, num_episodes=3, create_env_fn=lambda: NavigationEnv(easy_task_for(), 6)
+    )
+    seeds = torch.tensor([1, 2, 3])
+    population = population_of(actor, 2)
+    doubled = evaluator.evaluate(population, seeds=seeds)["returns"]
+    expected = plain.evaluate(population, seeds=seeds)["returns"]
+    assert torch.allclose(doubled, 2.0 * expected, atol=1e-5)
+    evaluator.close(), plain.close()

@@ -1,0 +1,164 @@
+"""A population's episodes straight on a simulation, with nothing between the two."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+
+from gdrl_tasks import BatchSimulation, Outcome
+from gdrl_torchrl import keys
+
+if TYPE_CHECKING:
+    from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+
+_BLOCK = 5
+"""Most rows of one member that act together."""
+_FEWEST_BLOCKS = 4
+"""A batch of fewer blocks is no faster."""
+
+
+def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
+    """The simulation that an environment is a plain view of, or None.
+
+    Also None if the evaluation asks for something that only the environment can tell.
+    """
+    # Its own attribute: wrappers pass on those of what they wrap.
+    simulation = vars(env).get("simulation")
+    if not isinstance(simulation, BatchSimulation):
+        return None
+    if evaluator.seeding_of(env) != "reset":
+        return None
+    told = {keys.SUCCESS, *simulation.arrays}
+    if not told.issuperset(map(str, evaluator.final_keys(env))):
+        return None
+    reads = evaluator.population.in_keys
+    return simulation if reads == [keys.OBSERVATION] else None
+
+
+def block_shapes(members: int, trials: int) -> list[tuple[int, int]]:
+    """Every shape ``(K, B)`` of a batch that acts, from the first to the smallest.
+
+    Examples:
+        >>> block_shapes(11, 20)
+        [(44, 5), (22, 5), (11, 5), (5, 5)]
+    """
+    size = min(trials, _BLOCK)
+    counts = [members * -(-trials // size)]
+    while counts[-1] // 2 >= _FEWEST_BLOCKS:
+        counts.append(counts[-1] // 2)
+    return [(count, size) for count in counts]
+
+
+class SimulationRollout:
+    """As ``PopulationRollout``, for when no transitions are asked for.
+
+    Steps only the worlds whose episodes go on. They act in blocks of a few rows, each
+    with the weights of its member, and the number of blocks is halved as episodes end:
+    what is left of the time is the engine's and the policy's.
+    """
+
+    def __init__(
+        self,
+        evaluator: PopulationEvaluator,
+        env: EnvBase,
+        params: TensorDictBase,
+        scores: TensorDictBase,
+        seeds: torch.Tensor,
+    ) -> None:
+        self.evaluator, self.env = evaluator, env
+        self.simulation: BatchSimulation = env.simulation  # pyright: ignore
+        self.population = evaluator.population
+        self.params, self.scores, self.seeds = params, scores, seeds
+
+    def run(self) -> None:
+        """Fill the scores ``[p, s]``."""
+        members, trials = self.scores.batch_size
+        simulation, count = self.simulation, members * trials
+        live = np.arange(count)
+        seeds = np.tile(self.seeds.numpy(), members)
+        observation = torch.from_numpy(simulation.reset(live, seeds).astype(np.float32))
+        returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
+        finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
+        limit = self.evaluator.max_steps
+        slots = self._blocks(live, trials, None)
+        where = np.empty(count, dtype=np.int64)
+        while len(live):
+            where[slots.ravel()] = np.arange(slots.size)
+            rows = where[live]
+            action, is_number = self._act(observation, slots)
+            finite[live] &= is_number[rows]
+            result = simulation.step(action[rows], live)
+            observation[live] = torch.from_numpy(result.observation.astype(np.float32))
+            # Through float32, as an environment's rewards are.
+            returns[live] += result.reward.astype(np.float32)
+            steps[live] += 1
+            ended = result.terminated | result.truncated
+            if ended.any():
+                self._note_finals(final, live[ended])
+            if limit is not None:
+                ended = ended | (steps[live] >= limit)
+            if ended.any():
+                live = live[~ended]
+                slots = self._blocks(live, trials, slots)
+        final |= {"return": returns.astype(np.float32), "steps": steps, "finite": finite}
+        for name, value in final.items():
+            shaped = torch.from_numpy(value).reshape(members, trials)
+            self.scores.set_(name, shaped.to(self.scores[name].dtype))
+
+    def _act(
+        self, observation: torch.Tensor, slots: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Actions and whether they are numbers, of the worlds in the slots, ``[R]``."""
+        chosen = observation[torch.from_numpy(slots)]
+        inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
+        action, finite = self.population.actions(inputs)
+        return action.flatten(0, 1).numpy(), finite.reshape(-1).numpy()
+
+    def _blocks(
+        self, live: np.ndarray, trials: int, slots: np.ndarray | None
+    ) -> np.ndarray:
+        """Worlds by block ``[K, B]``; loads the blocks' members if they change.
+
+        Where a block has fewer worlds, one of them fills it up: it acts twice, the same.
+        """
+        members = len(self.params)
+        shapes = block_shapes(members, trials)
+        size = shapes[0][1]
+        live_of = np.bincount(live // trials, minlength=members)
+        needed = int((-(-live_of // size)).sum())
+        count = min(k for k, _ in shapes if k >= needed)
+        if slots is not None and (needed == 0 or count == len(slots)):
+            return slots
+        blocks, owners = [], []
+        for member in np.flatnonzero(live_of):
+            worlds = live[live // trials == member]
+            for begin in range(0, len(worlds), size):
+                block = worlds[begin : begin + size]
+                blocks.append(np.resize(block, size))
+                owners.append(member)
+        blocks += [blocks[0]] * (count - needed)
+        owners += [owners[0]] * (count - needed)
+        self.population.load(self.params[torch.tensor(owners)])
+        return np.stack(blocks)
+
+    def _empty_finals(self, count: int) -> dict[str, np.ndarray]:
+        arrays: dict[str, Any] = self.simulation.arrays
+        return {
+            name: np.zeros(count, bool if key == keys.SUCCESS else arrays[str(key)].dtype)
+            for key, name in self._final_names()
+        }
+
+    def _note_finals(self, final: dict[str, np.ndarray], worlds: np.ndarray) -> None:
+        arrays = self.simulation.arrays
+        for key, name in self._final_names():
+            if key == keys.SUCCESS:
+                final[name][worlds] = arrays["outcome"][worlds] == Outcome.SUCCESS
+            else:
+                final[name][worlds] = arrays[str(key)][worlds]
+
+    def _final_names(self) -> list[tuple[Any, str]]:
+        return [(key, str(n)) for key, n in self.evaluator.final_keys(self.env).items()]
