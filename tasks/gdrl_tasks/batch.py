@@ -267,7 +267,7 @@ class BatchSimulation:
         if ids.min() < 0 or ids.max() >= self.num_worlds:
             worst = ids.min() if ids.min() < 0 else ids.max()
             raise ValueError(f"ids={worst} must be in [0, {self.num_worlds})")
-        if (np.diff(ids.astype(np.int64)) <= 0).any():
+        if (ids[1:] <= ids[:-1]).any():
             raise ValueError(f"ids={ids.tolist()} must be ascending, each once")
         return ids.astype(np.int64, copy=False)
 

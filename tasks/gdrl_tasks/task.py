@@ -79,7 +79,8 @@ class TaskSpec:
         # in the length of the episode, so one of the two extremes is the largest.
         steps = self.step_limit - 1
         weight = sum(gamma**step for step in range(steps))
-        longest = self.running_reward_limit * weight + gamma**steps
+        last = max(1.0, self.running_reward_limit)
+        longest = self.running_reward_limit * weight + last * gamma**steps
         # A truncated episode is worth what would have followed.
         if gamma < 1.0:
             longest = max(longest, self.running_reward_limit / (1.0 - gamma))
@@ -330,7 +331,8 @@ class NavigationTask(abc.ABC):
         observe_goal(ids, position, yaw, arrays["goal"], self.distance_scale_m, flat)
         for name, value in self.observe_extra(arrays, ids, qpos, qvel).items():
             columns = self.spec.columns[name]
-            flat[:, columns] = value.reshape(len(ids), -1)
+            size = columns.stop - columns.start
+            flat[:, columns] = value.reshape(len(ids), size)
         clip_rows(flat, *self.spec.observation_bounds)
         return flat
 

@@ -5,13 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gdrl_tasks
-from gdrl_tasks.water.task import WaterOptions
 
-BAD_OPTIONS = [
+BAD_WATER_OPTIONS = [
     ("difficulty", "hard"),
     ("difficulty", None),
     ("sea", "stormy"),
@@ -44,25 +43,73 @@ BAD_OPTIONS = [
     ("wave_components", 0),
     ("wave_components", 12.0),
 ]
+BAD_INDOOR_OPTIONS = [
+    ("arena", "kitchen"),
+    ("arena", None),
+    ("arena", ["paper"]),
+    ("actions", "five"),
+    ("at_limit", "ended"),
+    ("speed_m_s", 0.0),
+    ("speed_m_s", -0.1),
+    ("speed_m_s", 3.0),
+    ("speed_m_s", float("nan")),
+    ("speed_m_s", "fast"),
+    ("speed_m_s", None),
+    ("turn_rates_deg_s", ()),
+    ("turn_rates_deg_s", (45.0,)),
+    ("turn_rates_deg_s", (45.0, 45.0)),
+    ("turn_rates_deg_s", (-200.0, 0.0)),
+    ("turn_rates_deg_s", (0.0, float("nan"))),
+    ("turn_rates_deg_s", ("left", "right")),
+    ("turn_rates_deg_s", 90.0),
+    ("turn_rates_deg_s", "wide"),
+    ("turn_rates_deg_s", None),
+    ("wheel_speed_limit", "waffle"),
+    ("wheel_speed_limit", 0.22),
+    ("goal_tolerance_m", 0.0),
+    ("goal_tolerance_m", 0.6),
+    ("goal_tolerance_m", None),
+    ("num_beams", 0),
+    ("num_beams", 361),
+    ("num_beams", 19.0),
+    ("num_beams", True),
+    ("field_of_view_deg", 0.0),
+    ("field_of_view_deg", 361.0),
+    ("field_of_view_deg", float("inf")),
+    ("range_noise", "no"),
+    ("range_noise", 1),
+    ("scan_hold", None),
+    ("control_interval_s", 0.13),
+    ("control_interval_s", float("inf")),
+    ("substep_s", 0.0),
+    ("substep_s", 0.05),
+    ("step_limit", 0),
+    ("step_limit", 1.5),
+    ("step_limit", False),
+]
+BAD_OPTIONS = [("water", *bad) for bad in BAD_WATER_OPTIONS]
+BAD_OPTIONS += [("indoor", *bad) for bad in BAD_INDOOR_OPTIONS]
 
 
 @pytest.mark.parametrize("route", ["load", "simulate", "make_task"])
-@pytest.mark.parametrize(("option", "value"), BAD_OPTIONS)
-def test_a_bad_value_is_named_on_every_route(route, option, value):
+@pytest.mark.parametrize(("name", "option", "value"), BAD_OPTIONS)
+def test_a_bad_value_is_named_on_every_route(route, name, option, value):
     make = getattr(gdrl_tasks, route)
     counts = {"num_worlds": 2} if route == "simulate" else {}
     named = rf"{option}=.*"
     if isinstance(value, int | float | str) or value is None:
         named += re.escape(str(value))
     with pytest.raises(ValueError, match=named):
-        make("water", **counts, **{option: value})
+        make(name, **counts, **{option: value})
 
 
 def test_an_unknown_task_or_option_is_named_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"task='waters' must be one of \['water'"):
+    with pytest.raises(ValueError, match=r"'waters' must be one of .*'indoor', 'water'"):
         gdrl_tasks.load("waters")
     with pytest.raises(ValueError, match=r"unknown option tide=2\.0 .*'sea'"):
         gdrl_tasks.simulate("water", num_worlds=1, tide=2.0)
+    with pytest.raises(ValueError, match=r"unknown option sea='calm' .*'arena'"):
+        gdrl_tasks.make_task("indoor", sea="calm")
 
 
 @pytest.mark.parametrize(
@@ -82,14 +129,28 @@ def test_bad_counts_are_named(name, value):
         gdrl_tasks.simulate("water", **({"num_worlds": 2} | {name: value}))
 
 
-@pytest.fixture(scope="module")
-def worlds():
-    return gdrl_tasks.simulate("water", num_worlds=3, num_threads=1)
+@pytest.fixture(scope="module", params=["water", "indoor"])
+def worlds(request):
+    return gdrl_tasks.simulate(
+        request.param, num_worlds=3, num_threads=1, actions="continuous"
+    )
 
 
-@pytest.fixture(scope="module")
-def discrete_worlds():
-    return gdrl_tasks.simulate("water", num_worlds=2, num_threads=1, actions="discrete")
+@pytest.fixture(scope="module", params=["water", "indoor"])
+def discrete_worlds(request):
+    return gdrl_tasks.simulate(
+        request.param, num_worlds=2, num_threads=1, actions="discrete"
+    )
+
+
+def assert_refused(worlds, action, message):
+    """A step with an action is refused and changes nothing."""
+    worlds.reset()
+    before = worlds.get_state()
+    with pytest.raises(ValueError, match=message):
+        worlds.step(action)
+    for name, value in worlds.get_state().items():
+        np.testing.assert_array_equal(value, before[name])
 
 
 @pytest.mark.parametrize(
@@ -98,36 +159,39 @@ def discrete_worlds():
     ids=lambda action: str(np.shape(action)),
 )
 def test_actions_of_another_shape_are_refused(worlds, action):
-    worlds.reset()
-    before = worlds.get_state()
-    with pytest.raises(ValueError, match=re.escape(f"shape {np.shape(action)}")):
-        worlds.step(action)
-    for name, value in worlds.get_state().items():
-        np.testing.assert_array_equal(value, before[name])
+    assert_refused(worlds, action, re.escape(f"shape {np.shape(action)}"))
+
+
+@pytest.mark.parametrize(
+    "action",
+    [np.zeros(3, dtype=int), np.zeros((2, 1), dtype=int), 1],
+    ids=lambda action: str(np.shape(action)),
+)
+def test_discrete_actions_of_another_shape_are_refused(discrete_worlds, action):
+    assert_refused(discrete_worlds, action, re.escape(f"shape {np.shape(action)}"))
 
 
 @pytest.mark.parametrize("action", [[["a", "b"]] * 3, np.zeros((3, 2), complex), None])
 def test_actions_that_are_not_real_numbers_are_refused(worlds, action):
-    worlds.reset()
-    with pytest.raises(ValueError, match="must be real numbers"):
-        worlds.step(action)
+    assert_refused(worlds, action, "must be real numbers")
 
 
 @pytest.mark.parametrize("choice", [-1, 7, 100, 0.5])
 def test_discrete_actions_out_of_range_are_named(discrete_worlds, choice):
-    discrete_worlds.reset()
-    message = re.escape(f"action={choice} must be an integer in [0, 7)")
-    with pytest.raises(ValueError, match=message):
-        discrete_worlds.step(np.array([0, choice]))
-    environment = gdrl_tasks.load("water", random=0, actions="discrete")
+    task = discrete_worlds.task
+    most = {"water": 7, "indoor": 5}[task.name]
+    message = re.escape(f"action={choice} must be an integer in [0, {most})")
+    assert_refused(discrete_worlds, np.array([0, choice]), message)
+    environment = gdrl_tasks.load(task.name, random=0, actions="discrete")
     environment.reset()
     with pytest.raises(ValueError, match=message):
         environment.step(choice)
 
 
+@pytest.mark.parametrize("name", ["water", "indoor"])
 @pytest.mark.parametrize("action", [np.zeros(3), np.zeros(1), 0.0, np.zeros((1, 2))])
-def test_the_dm_control_route_refuses_other_shapes(action):
-    environment = gdrl_tasks.load("water", random=0)
+def test_the_dm_control_route_refuses_other_shapes(action, name):
+    environment = gdrl_tasks.load(name, random=0, actions="continuous")
     environment.reset()
     with pytest.raises(ValueError, match="must have shape"):
         environment.step(action)
@@ -154,8 +218,13 @@ def test_bad_seeds_are_named(worlds, seeds):
 
 def test_no_worlds_may_be_stepped_or_reset(worlds):
     worlds.reset()
-    assert worlds.reset([]).shape == (0, 3)
+    before = worlds.get_state()
+    shape = (0, worlds.task.spec.observation_size)
+    assert worlds.reset([]).shape == shape
     assert worlds.step(np.zeros((0, 2)), []).reward.shape == (0,)
+    assert worlds.observe([]).shape == shape
+    for name, value in worlds.get_state().items():
+        np.testing.assert_array_equal(value, before[name])
 
 
 def test_a_state_of_another_simulation_is_refused(worlds):
@@ -174,38 +243,82 @@ def test_bad_episode_numbers_are_named(name, values):
         gdrl_tasks.episode_seeds(gdrl_tasks.Stream.TRAINING, *values)
 
 
+CHOICES = ["near", "far", "calm", "lake", "rough", "sparse", "discrete", "continuous"]
+CHOICES += ["paper", "scatter", "corridor", "burger", "truncated", ""]
 VALUES = st.one_of(
     st.none(),
     st.booleans(),
-    st.integers(-3, 300),
+    st.integers(-3, 400),
     st.floats(),
     st.floats(0.0, 10.0),
-    st.sampled_from(["near", "far", "calm", "lake", "rough", "sparse", "discrete", ""]),
-    st.lists(st.floats(0.0, 30.0), max_size=3).map(tuple),
+    st.floats(0.0, 400.0),
+    st.sampled_from(CHOICES),
+    st.lists(st.floats(-90.0, 90.0), max_size=3).map(tuple),
     st.lists(st.sampled_from(["velocity", "roll", "time_left", "x"]), max_size=3),
 )
 
 
-@given(
-    name=st.sampled_from([field.name for field in dataclasses.fields(WaterOptions)]),
-    value=VALUES,
-)
-def test_any_option_either_works_or_is_named(name, value):
+def option_names(task):
+    return [field.name for field in dataclasses.fields(gdrl_tasks.task_options(task))]
+
+
+@pytest.mark.parametrize("task", ["water", "indoor"])
+@given(data=st.data(), value=VALUES)
+def test_any_option_either_works_or_is_named(task, data, value):
+    name = data.draw(st.sampled_from(option_names(task)))
     refusal = None
     try:
-        task = gdrl_tasks.make_task("water", **{name: value})
+        made = gdrl_tasks.make_task(task, **{name: value})
     except (ValueError, TypeError) as error:
         refusal = str(error)
     if refusal is not None:
         assert f"{name}=" in refusal
         return
-    episode = task.draw_episode(0)
+    episode = made.draw_episode(0)
     assert np.isfinite(episode.qpos).all()
     for array in episode.arrays.values():
         assert np.isfinite(array).all()
-    assert task.spec.num_substeps >= 1
-    low, high = task.spec.observation_bounds
+    assert made.spec.num_substeps >= 1
+    low, high = made.spec.observation_bounds
     assert (low < high).all()
+
+
+@given(
+    arena=st.sampled_from(["paper", "scatter", "corridor"]),
+    speed=st.floats(0.01, 0.3),
+    rates=st.lists(st.floats(-180.0, 180.0), min_size=2, max_size=5, unique=True),
+    num_beams=st.integers(1, 60),
+    field_of_view_deg=st.floats(1.0, 360.0),
+    switches=st.tuples(st.booleans(), st.booleans(), st.booleans()),
+    substeps=st.integers(1, 8),
+)
+@settings(max_examples=25)
+def test_any_robot_that_is_allowed_can_be_driven(
+    arena, speed, rates, num_beams, field_of_view_deg, switches, substeps
+):
+    range_noise, scan_hold, limited = switches
+    worlds = gdrl_tasks.simulate(
+        "indoor",
+        num_worlds=len(rates),
+        num_threads=1,
+        arena=arena,
+        speed_m_s=speed,
+        turn_rates_deg_s=tuple(rates),
+        num_beams=num_beams,
+        field_of_view_deg=field_of_view_deg,
+        range_noise=range_noise,
+        scan_hold=scan_hold,
+        wheel_speed_limit="burger" if limited else None,
+        control_interval_s=0.02 * substeps,
+    )
+    low, high = worlds.task.spec.observation_bounds
+    observation = worlds.reset()
+    for _ in range(4):
+        assert observation.shape == (len(rates), 2 + num_beams)
+        assert ((low <= observation) & (observation <= high)).all()
+        result = worlds.step(np.arange(len(rates)))
+        observation = result.observation
+        assert not (result.outcome == gdrl_tasks.Outcome.DIVERGED).any()
 
 
 @given(

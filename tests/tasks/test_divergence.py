@@ -23,6 +23,10 @@ def break_attitude(qpos, qvel):
     qpos[3:] = np.inf
 
 
+def break_last_joint(qpos, qvel):
+    qpos[-1] = np.nan
+
+
 def break_velocity(qpos, qvel):
     qvel[1] = -np.inf
 
@@ -36,10 +40,12 @@ INJURIES = [
     break_position,
     break_height,
     break_attitude,
+    break_last_joint,
     break_velocity,
     spin_out_of_control,
 ]
 every_injury = pytest.mark.parametrize("injure", INJURIES, ids=lambda f: f.__name__)
+every_task = pytest.mark.parametrize("name", ["water", "indoor"])
 
 
 @pytest.fixture
@@ -53,12 +59,20 @@ def silence(tmp_path, monkeypatch, capfd):
     assert list(tmp_path.iterdir()) == []
 
 
-def started(num_threads=1, **options):
+def started(name, num_threads=1, **options):
     worlds = gdrl_tasks.simulate(
-        "water", num_worlds=NUM_WORLDS, num_threads=num_threads, **options
+        name, num_worlds=NUM_WORLDS, num_threads=num_threads, **options
     )
     worlds.reset()
     return worlds
+
+
+def random_actions(task, shape, seed=0):
+    """Actions ``[*shape]`` or ``[*shape, A]`` of a task."""
+    generator = np.random.default_rng(seed)
+    if task.spec.is_discrete:
+        return generator.integers(task.spec.action_size, size=shape)
+    return generator.uniform(-1.0, 1.0, (*shape, task.spec.action_size))
 
 
 def assert_others_untouched(worlds, healthy, others):
@@ -67,11 +81,12 @@ def assert_others_untouched(worlds, healthy, others):
             np.testing.assert_array_equal(worlds.get_state()[name][others], value[others])
 
 
+@every_task
 @every_injury
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, silence):
-    worlds, healthy = started(num_threads), started(num_threads)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (4, NUM_WORLDS, 2))
+def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, name, silence):
+    worlds, healthy = started(name, num_threads), started(name, num_threads)
+    actions = random_actions(worlds.task, (4, NUM_WORLDS))
     others = np.delete(np.arange(NUM_WORLDS), 7)
     worlds.step(actions[0])
     healthy.step(actions[0])
@@ -82,7 +97,8 @@ def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, silence):
     assert result.reward[7] == -1.0
     assert result.terminated[7]
     assert not result.truncated[7]
-    assert np.isfinite(result.observation).all()
+    low, high = worlds.task.spec.observation_bounds
+    assert ((low <= result.observation) & (result.observation <= high)).all()
     for field, value in zip(result, expected, strict=True):
         np.testing.assert_array_equal(field[others], value[others])
     for action in actions[2:]:
@@ -93,9 +109,10 @@ def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, silence):
     assert np.isfinite(worlds.arrays["episode_return"]).all()
 
 
+@every_task
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_world_whose_action_is_not_finite_diverges_alone(value, silence):
-    worlds, healthy = started(), started()
+def test_a_world_whose_action_is_not_finite_diverges_alone(value, name, silence):
+    worlds, healthy = (started(name, actions="continuous") for _ in range(2))
     action = np.full((NUM_WORLDS, 2), 0.8)
     expected = healthy.step(action)
     action[7, 1] = value
@@ -108,8 +125,9 @@ def test_a_world_whose_action_is_not_finite_diverges_alone(value, silence):
     assert_others_untouched(worlds, healthy, others)
 
 
-def test_a_discrete_action_that_is_not_a_number_diverges(silence):
-    worlds = started(actions="discrete")
+@every_task
+def test_a_discrete_action_that_is_not_a_number_diverges(name, silence):
+    worlds = started(name, actions="discrete")
     action = np.zeros(NUM_WORLDS)
     action[3] = np.nan
     outcome = worlds.step(action).outcome
@@ -117,54 +135,62 @@ def test_a_discrete_action_that_is_not_a_number_diverges(silence):
     assert (np.delete(outcome, 3) == Outcome.RUNNING).all()
 
 
+@every_task
 @every_injury
-def test_a_diverged_world_stays_diverged_until_its_reset(injure, silence):
-    worlds = started()
+def test_a_diverged_world_stays_diverged_until_its_reset(injure, name, silence):
+    worlds = started(name)
+    action = random_actions(worlds.task, (NUM_WORLDS,))
     injure(worlds.qpos[7], worlds.qvel[7])
     for _ in range(3):
-        result = worlds.step(np.ones((NUM_WORLDS, 2)))
+        result = worlds.step(action)
         assert result.outcome[7] == Outcome.DIVERGED
         assert np.isfinite(result.observation).all()
     seed = np.array([123])
     observation = worlds.reset(np.array([7]), seed)
-    fresh = gdrl_tasks.simulate("water", num_worlds=1, num_threads=1)
+    fresh = gdrl_tasks.simulate(name, num_worlds=1, num_threads=1)
     np.testing.assert_array_equal(observation, fresh.reset(seeds=seed))
     for _ in range(5):
-        result = worlds.step(np.ones((1, 2)), np.array([7]))
-        expected = fresh.step(np.ones((1, 2)))
+        result = worlds.step(action[:1], np.array([7]))
+        expected = fresh.step(action[:1])
         for field, value in zip(result, expected, strict=True):
             np.testing.assert_array_equal(field, value)
 
 
-def test_divergence_hides_a_truncation(silence):
-    worlds = started(at_limit="truncated", step_limit=1)
+@every_task
+def test_divergence_hides_a_truncation(name, silence):
+    worlds = started(name, at_limit="truncated", step_limit=1)
     worlds.qpos[7, 0] = np.nan
-    result = worlds.step(np.zeros((NUM_WORLDS, 2)))
+    result = worlds.step(random_actions(worlds.task, (NUM_WORLDS,)))
     assert result.outcome[7] == Outcome.DIVERGED
     assert result.terminated[7]
     assert not result.truncated[7]
     assert np.delete(result.truncated, 7).all()
 
 
+@every_task
 @every_injury
-def test_the_dm_control_route_ends_the_episode_too(injure, silence):
-    environment = gdrl_tasks.load("water", random=0)
+def test_the_dm_control_route_ends_the_episode_too(injure, name, silence):
+    environment = gdrl_tasks.load(name, random=0)
+    actions = random_actions(environment.task.task, (5,))
     environment.reset()
-    environment.step(np.ones(2))
+    environment.step(actions[0])
     injure(environment.physics.data.qpos, environment.physics.data.qvel)
-    time_step = environment.step(np.ones(2))
-    check_diverged(environment, time_step)
+    time_step = environment.step(actions[0])
+    check_diverged(environment, time_step, actions, gdrl_tasks.load(name))
 
 
+@every_task
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_the_dm_control_route_ends_on_a_bad_action_too(value, silence):
-    environment = gdrl_tasks.load("water", random=0)
+def test_the_dm_control_route_ends_on_a_bad_action_too(value, name, silence):
+    environment = gdrl_tasks.load(name, random=0, actions="continuous")
+    actions = random_actions(environment.task.task, (5,))
     environment.reset()
     time_step = environment.step(np.array([0.5, value]))
-    check_diverged(environment, time_step)
+    fresh = gdrl_tasks.load(name, actions="continuous")
+    check_diverged(environment, time_step, actions, fresh)
 
 
-def check_diverged(environment, time_step):
+def check_diverged(environment, time_step, actions, fresh):
     assert time_step.last()
     assert time_step.discount == 0.0
     assert time_step.reward == -1.0
@@ -173,20 +199,19 @@ def check_diverged(environment, time_step):
         assert np.isfinite(value).all()
     environment.task.next_episode_seed = 5
     again = environment.reset()
-    fresh = gdrl_tasks.load("water")
     fresh.task.next_episode_seed = 5
     for one, other in zip(
-        [again, *(environment.step(np.ones(2)) for _ in range(3))],
-        [fresh.reset(), *(fresh.step(np.ones(2)) for _ in range(3))],
+        [again, *(environment.step(action) for action in actions)],
+        [fresh.reset(), *(fresh.step(action) for action in actions)],
         strict=True,
     ):
         assert one.reward == other.reward
-        for name, value in one.observation.items():
-            np.testing.assert_array_equal(value, other.observation[name])
+        for key, value in one.observation.items():
+            np.testing.assert_array_equal(value, other.observation[key])
 
 
 def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
-    worlds = started(sea="rough", significant_wave_height_m=0.6, current_m_s=0.5)
+    worlds = started("water", sea="rough", significant_wave_height_m=0.6, current_m_s=0.5)
     generator = np.random.default_rng(0)
     for _ in range(60):
         result = worlds.step(np.sign(generator.normal(size=(NUM_WORLDS, 2))))

@@ -147,27 +147,25 @@ def test_who_slides_along_a_wall_collides(indoor_at):
 
 
 @every_shape
-@pytest.mark.parametrize(("speed", "deepest_m"), [(0.15, 0.004), (0.20, 0.006)])
+@pytest.mark.parametrize(("speed", "deepest_m"), [(0.15, 0.005), (0.20, 0.007)])
 def test_nobody_gets_through_an_obstacle(shape, speed, deepest_m, indoor_at, indoor_pose):
+    """On and on, whatever the outcome: half of them straight, the others as they like."""
     count = 48
-    worlds, nearest = approaches(shape, count, indoor_at, speed_m_s=speed)
+    worlds, _ = approaches(shape, count, indoor_at, speed_m_s=speed)
     shapes, places = worlds.task.arena.shapes, worlds.arrays["obstacles"]
-    room, turned = [], []
     generator = np.random.default_rng(0)
-    # On and on, whatever the outcome: half of them straight, the others as they like.
+    room = []
     for _ in range(50):
-        action = np.where(np.arange(count) % 2, STRAIGHT, generator.integers(5, size=count))
-        worlds.step(action)
-        middle, heading = indoor_pose(worlds.qpos)
+        anything = generator.integers(5, size=count)
+        worlds.step(np.where(np.arange(count) % 2, STRAIGHT, anything))
+        middle, _ = indoor_pose(worlds.qpos)
         room.append(gaps(middle, places, shapes))
-        turned.append(heading)
-        assert (np.abs(worlds.qvel) < 20.0).all()
-    # The impact itself is the deepest; then the wheels slip and the wall holds.
+        _, x, y, _ = worlds.qpos[:, 3:7].T
+        upright = 1.0 - 2.0 * (x * x + y * y)
+        assert np.degrees(np.arccos(upright)).max() < 4.0
+    # Little more than a substep's way: the engine sees an obstacle only from inside.
     assert np.min(room) > -deepest_m
-    assert np.min(room) < 0.0
-    touched = np.min(room, axis=0) < 0.0
-    assert touched.sum() > 10
-    assert np.isfinite(worlds.qpos).all()
+    assert (np.min(room, axis=0) < 0.0).sum() > 20
 
 
 @every_arena

@@ -105,9 +105,12 @@ def test_the_burgers_wheels_are_slowed_together(indoor_at, indoor_pose):
     speeds, turns = motion(states[25:], indoor_pose)
     rims = speeds + 0.5 * WHEEL_SEPARATION_M * np.abs(turns)
     assert rims.max() <= 1.01 * BURGER_RIM_M_S
-    # Slower, but on the same circle.
-    radius = (speeds / turns)[:, [0, 4]]
-    assert np.abs(radius) == pytest.approx(0.15 / np.radians(90.0), rel=0.03)
+    # Slower, but on the same circle as without the limit.
+    unlimited = indoor_at(np.zeros((5, 3)), control_interval_s=TICK_S)
+    free_speeds, free_turns = motion(drive(unlimited, np.arange(5), 2.0)[25:], indoor_pose)
+    radius, free_radius = (speeds / turns)[:, [0, 4]], (free_speeds / free_turns)[:, [0, 4]]
+    assert radius == pytest.approx(free_radius, rel=0.01)
+    assert np.abs(free_radius) == pytest.approx(0.15 / np.radians(90.0), rel=0.03)
 
 
 def test_the_burgers_limit_changes_nothing_below_it(indoor_at):

@@ -1,5 +1,8 @@
 """Distances to obstacles, and lengths of ways round them, against brute force."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +11,7 @@ from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+import gdrl_tasks
 from gdrl_tasks.indoor.arena import ARENAS
 from gdrl_tasks.indoor.free_space import CELL_M, FreeSpace
 from gdrl_tasks.indoor.kernel import clearances
@@ -29,7 +33,7 @@ def outline(is_box, half_size, at, spacing_m):
         own = np.concatenate(
             [
                 np.linspace(a, b, int(np.linalg.norm(b - a) / spacing_m) + 2)
-                for a, b in zip(corners[:-1], corners[1:], strict=True)
+                for a, b in itertools.pairwise(corners)
             ]
         )
     turn = np.array([[at[2], -at[3]], [at[3], at[2]]])
@@ -89,12 +93,10 @@ def test_clearance_is_the_distance_to_the_nearest_point_of_a_surface(seed):
 def test_clearance_of_a_point_on_a_surface_is_zero():
     shapes, places = random_shapes(np.random.default_rng(9))
     for number in range(5):
-        only = make_shapes([], [], 0.3)
         is_box = shapes.is_box[number : number + 1]
         half_size = shapes.half_size[number : number + 1]
         points = outline(is_box[0], half_size[0], places[number], 0.05)
         around = np.broadcast_to(places[number], (len(points), 1, 4))
-        assert len(only) == 0
         room = clearance(points, around, is_box, half_size)
         np.testing.assert_allclose(room, 0.0, atol=1e-12)
 
@@ -234,9 +236,9 @@ def test_a_grid_holds_the_clearance_of_its_cells(arena):
     points = middles(space).reshape(-1, 2)
     chosen = np.random.default_rng(0).integers(len(points), size=200)
     near = np.hypot(*places[:, :2].T) < 20.0
-    shapes = make_shapes([], [], 0.3)
-    object.__setattr__(shapes, "is_box", own.shapes.is_box[near])
-    object.__setattr__(shapes, "half_size", own.shapes.half_size[near])
+    shapes = dataclasses.replace(
+        own.shapes, is_box=own.shapes.is_box[near], half_size=own.shapes.half_size[near]
+    )
     expected = room_by_sampling(points[chosen], places[near], shapes, 2e-3)
     found = space.clearance.ravel()[chosen]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-3)
@@ -324,6 +326,23 @@ def test_no_way_leads_where_a_flood_fill_does_not(arena):
     # Else the gaps say nothing.
     assert shut >= 3
     assert passed >= 1
+
+
+@every_arena
+def test_every_goal_that_is_drawn_can_be_reached_from_its_start(arena, indoor_pose):
+    task = gdrl_tasks.make_task("indoor", arena=arena)
+    for seed in range(12):
+        episode = task.draw_episode(100 + seed)
+        (start,), _ = indoor_pose(episode.qpos[None])
+        goal = episode.arrays["goal"]
+        fine = FineGrid(task.arena, episode.arrays["obstacles"])
+        flooded = fine.reachable(goal, FOOTPRINT_M)
+        assert flooded[fine.cell(start)]
+        if seed < 3:
+            # And the way is as long as Dijkstra's, a tenth at most for the coarse grid.
+            length = fine.lengths(goal, FOOTPRINT_M)[fine.cell(start)]
+            shortest = episode.arrays["shortest_path"]
+            assert 0.98 * length - 0.05 <= shortest <= 1.1 * length + 0.1
 
 
 @every_arena

@@ -1,5 +1,6 @@
 """The lidar against rays, circles and segments of analytic geometry."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -121,6 +122,37 @@ def test_the_dm_control_route_scans_alike(arena, indoor_pose):
             read = FARTHEST_M * time_step.observation["lidar"]
             np.testing.assert_allclose(read, expected, rtol=0.0, atol=1e-9)
             time_step = environment.step(generator.integers(5))
+
+
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+def test_the_engines_own_rays_hit_the_same(arena, indoor_pose):
+    """What is drawn and what is solid is what the lidar sees, at the lidar's height."""
+    environment = gdrl_tasks.load(
+        "indoor", random=5, arena=arena, num_beams=45, field_of_view_deg=360.0
+    )
+    angles = angles_of(45, 360.0)
+    physics = environment.physics
+    model, data = physics.model.ptr, physics.data.ptr
+    walls = [physics.model.name2id(f"obstacle_{number}", "geom") for number in range(4)]
+    groups = np.zeros(6, dtype=np.uint8)
+    groups[physics.model.geom_group[walls]] = 1
+    generator = np.random.default_rng(0)
+    hits = 0
+    for _ in range(10):
+        time_step = environment.reset()
+        for _ in range(3):
+            middle, heading = indoor_pose(physics.data.qpos)
+            read = FARTHEST_M * time_step.observation["lidar"]
+            for beam, angle in enumerate(heading + angles):
+                ray = np.array([np.cos(angle), np.sin(angle), 0.0])
+                origin = np.array([*middle, 0.18])
+                geom = np.zeros(1, dtype=np.int32)
+                hit = mujoco.mj_ray(model, data, origin, ray, groups, 1, -1, geom)
+                hits += 0.0 <= hit <= FARTHEST_M
+                seen = FARTHEST_M if hit < 0.0 else np.clip(hit, NEAREST_M, FARTHEST_M)
+                assert read[beam] == pytest.approx(seen, abs=1e-9)
+            time_step = environment.step(generator.integers(5))
+    assert hits > 500
 
 
 def only_walls(half_x, half_y):

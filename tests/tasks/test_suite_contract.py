@@ -19,7 +19,20 @@ VARIANTS = {
         {"at_limit": "truncated"},
         {"dead_zone_compensated": True, "current_m_s": 0.3},
         {"extra_observations": ("velocity", "roll", "time_left")},
-    ]
+    ],
+    "indoor": [
+        {},
+        {"arena": "scatter"},
+        {"arena": "corridor"},
+        {"actions": "continuous"},
+        {"scan_hold": True},
+        {"range_noise": True},
+        {"wheel_speed_limit": "burger"},
+        {"at_limit": "truncated"},
+        {"num_beams": 24, "field_of_view_deg": 360.0},
+        {"goal_tolerance_m": 0.05},
+        {"speed_m_s": 0.2, "turn_rates_deg_s": (-60.0, 0.0, 60.0)},
+    ],
 }
 CASES = [
     pytest.param(name, options, id="-".join([name, *map(str, options)]))
@@ -67,9 +80,9 @@ def opengl():
         pytest.skip(reason_not_to_render())
 
 
-def test_at_least_one_task_is_registered():
-    assert "water" in gdrl_tasks.task_names()
-    assert gdrl_tasks.task_names("discrete")
+def test_both_tasks_are_registered():
+    assert set(gdrl_tasks.task_names()) >= {"indoor", "water"}
+    assert set(gdrl_tasks.task_names("discrete")) >= {"indoor", "water"}
     assert gdrl_tasks.task_names("no such tag") == ()
 
 
@@ -216,67 +229,132 @@ def test_time_between_actions_is_the_control_interval(name, options):
     assert environment.control_timestep() == pytest.approx(interval, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", gdrl_tasks.task_names())
-@pytest.mark.parametrize(
-    ("at_limit", "discount", "reward"), [("terminated", 0.0, -1.0), ("truncated", 1.0, 0.0)]
-)
-def test_an_episode_ends_at_its_step_limit(name, at_limit, discount, reward):
-    environment = gdrl_tasks.load(name, random=0, at_limit=at_limit, step_limit=5)
+def distance_to_goal(environment):
+    goal = environment.task.arrays["goal"][0]
+    return float(np.linalg.norm(goal - environment.physics.data.qpos[:2]))
+
+
+def progress_weight(name, options):
+    """Reward per metre towards the goal."""
+    if name == "indoor":
+        return 10.0
+    return 1.0 if options.get("reward") == "dense" else 0.0
+
+
+@every_task
+@pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
+def test_an_episode_ends_at_its_step_limit(name, options, at_limit):
+    options = options | {"at_limit": at_limit, "step_limit": 5}
+    environment = gdrl_tasks.load(name, random=0, **options)
+    policy = random_policy(environment.action_spec(), 0)
     environment.reset()
     for step in range(5):
-        time_step = environment.step(np.zeros(2))
+        before = distance_to_goal(environment)
+        time_step = environment.step(policy())
+        progress = before - distance_to_goal(environment)
+        reward = progress_weight(name, options) * progress
+        discount = 1.0
+        if step == 4 and at_limit == "terminated":
+            reward, discount = -1.0, 0.0
         assert time_step.last() == (step == 4)
-        assert time_step.discount == (discount if step == 4 else 1.0)
-        assert time_step.reward == (reward if step == 4 else 0.0)
+        assert time_step.discount == discount
+        assert time_step.reward == pytest.approx(reward, abs=1e-12)
     assert environment.task.outcome == gdrl_tasks.Outcome.TIMEOUT
-    assert environment.step(np.zeros(2)).step_type == StepType.FIRST
+    assert environment.step(policy()).step_type == StepType.FIRST
 
 
-def steps_to_a_goal_ahead(step_limit, **options):
-    """Full ahead to a goal just in front of the vessel; all time steps."""
-    environment = gdrl_tasks.load(
-        "water",
-        random=0,
-        sea="calm",
-        goal_distance_m=(1.0, 1.0),
-        step_limit=step_limit,
-        **options,
-    )
+STRAIGHT_TO_A_GOAL = {
+    "water": (1.0, np.ones(2), {"sea": "calm", "goal_distance_m": (1.0, 1.0)}),
+    "water-dense": (
+        1.0,
+        np.ones(2),
+        {"sea": "calm", "goal_distance_m": (1.0, 1.0), "reward": "dense"},
+    ),
+    "indoor": (0.33, 2, {}),
+    "indoor-continuous": (0.33, np.array([1.0, 0.0]), {"actions": "continuous"}),
+}
+"""Distance of a goal, the action that drives straight ahead, and options."""
+every_way = pytest.mark.parametrize("way", list(STRAIGHT_TO_A_GOAL))
+
+
+def steps_to_a_goal_ahead(way, step_limit, **options):
+    """Full ahead to a goal just in front of the vehicle.
+
+    Returns the environment, all time steps and the distances before and after each.
+    """
+    distance, action, own = STRAIGHT_TO_A_GOAL[way]
+    name, _, _ = way.partition("-")
+    environment = gdrl_tasks.load(name, random=0, step_limit=step_limit, **(own | options))
     environment.reset()
     suite_task, physics = environment.task, environment.physics
-    _, heading = suite_task.task.planar_pose(physics.data.qpos[None])
-    suite_task.arrays["goal"][0] = np.cos(heading[0]), np.sin(heading[0])
-    steps = [environment.step(np.ones(2))]
-    while not steps[-1].last():
-        steps.append(environment.step(np.ones(2)))
-    return environment, steps
+    position, heading = suite_task.task.planar_pose(physics.data.qpos[None])
+    ahead = np.array([np.cos(heading[0]), np.sin(heading[0])])
+    suite_task.arrays["goal"][0] = position[0] + distance * ahead
+    suite_task.arrays["distance"][0] = distance
+    steps, distances = [], [distance_to_goal(environment)]
+    while not steps or not steps[-1].last():
+        steps.append(environment.step(action))
+        distances.append(distance_to_goal(environment))
+    return environment, steps, distances
 
 
-def test_the_goal_ends_an_episode_with_its_reward():
-    environment, steps = steps_to_a_goal_ahead(step_limit=100)
+@every_way
+def test_the_goal_ends_an_episode_with_its_reward(way):
+    environment, steps, distances = steps_to_a_goal_ahead(way, step_limit=100)
     assert environment.task.outcome == gdrl_tasks.Outcome.SUCCESS
     assert steps[-1].reward == 1.0
     assert steps[-1].discount == 0.0
-    assert all(step.reward == 0.0 for step in steps[:-1])
+    assert len(steps) > 3
+    name, _, kind = way.partition("-")
+    weight = progress_weight(name, {"reward": kind})
+    progress = weight * -np.diff(distances)
+    rewards = [step.reward for step in steps]
+    np.testing.assert_allclose(rewards[:-1], progress[:-1], rtol=0.0, atol=1e-12)
+    # At the end 1 takes the place of the last step's progress.
+    total = 1.0 + weight * (distances[0] - distances[-2])
+    assert environment.task.arrays["episode_return"][0] == pytest.approx(total)
 
 
+@every_way
 @pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
-def test_the_goal_wins_over_a_timeout_in_the_same_step(at_limit):
-    _, steps = steps_to_a_goal_ahead(step_limit=100)
-    environment, last = steps_to_a_goal_ahead(step_limit=len(steps), at_limit=at_limit)
+def test_the_goal_wins_over_a_timeout_in_the_same_step(way, at_limit):
+    _, steps, _ = steps_to_a_goal_ahead(way, step_limit=100)
+    environment, last, _ = steps_to_a_goal_ahead(
+        way, step_limit=len(steps), at_limit=at_limit
+    )
     assert environment.task.outcome == gdrl_tasks.Outcome.SUCCESS
     assert (last[-1].reward, last[-1].discount) == (1.0, 0.0)
-    environment, early = steps_to_a_goal_ahead(step_limit=len(steps) - 1)
+    environment, early, _ = steps_to_a_goal_ahead(way, step_limit=len(steps) - 1)
     assert environment.task.outcome == gdrl_tasks.Outcome.TIMEOUT
     assert early[-1].reward == -1.0
 
 
-def test_dense_rewards_add_up_to_the_distance_gained():
-    environment, steps = steps_to_a_goal_ahead(step_limit=100, reward="dense")
-    left = environment.task.arrays["distance"][0]
-    total = sum(step.reward for step in steps)
-    assert total == pytest.approx(1.0 + (1.0 - left), abs=0.02)
-    assert environment.task.arrays["episode_return"][0] == pytest.approx(total)
+@every_task
+def test_running_rewards_are_the_progress_towards_the_goal(name, options):
+    environment = gdrl_tasks.load(name, random=2, **options)
+    policy = random_policy(environment.action_spec(), 2)
+    weight, rewards = progress_weight(name, options), []
+    for _ in range(2):
+        environment.reset()
+        for _ in range(10):
+            before = distance_to_goal(environment)
+            time_step = environment.step(policy())
+            if time_step.last():
+                break
+            progress = before - distance_to_goal(environment)
+            assert time_step.reward == pytest.approx(weight * progress, abs=1e-12)
+            rewards.append(time_step.reward)
+    assert len(rewards) >= 10
+    assert np.any(rewards) == (weight > 0.0)
+
+
+@every_task
+def test_the_mark_of_the_goal_stands_at_the_goal(name, options):
+    environment = gdrl_tasks.load(name, random=0, **options)
+    for _ in range(2):
+        environment.reset()
+        mark = environment.physics.named.data.xpos["goal"]
+        np.testing.assert_allclose(mark[:2], environment.task.arrays["goal"][0])
 
 
 @pytest.mark.render
@@ -335,6 +413,23 @@ def test_the_top_camera_sees_the_whole_range_of_goals(difficulty, opengl):
         ids = environment.physics.render(240, 320, camera_id="top", segmentation=True)
         geom = environment.physics.model.name2id("goal_mark", "geom")
         assert (ids[..., 0] == geom).any()
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+def test_the_top_camera_sees_the_whole_arena(arena, opengl):
+    environment = gdrl_tasks.load("indoor", random=0, arena=arena)
+    environment.reset()
+    physics = environment.physics
+    half_x, half_y = environment.task.task.arena.half_extent_m
+    for x, y in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
+        physics.data.mocap_pos[0, :2] = x * (half_x - 0.2), y * (half_y - 0.2)
+        physics.forward()
+        ids = physics.render(240, 320, camera_id="top", segmentation=True)
+        geom = physics.model.name2id("goal_disc", "geom")
+        assert ((ids[..., 0] == geom) & (ids[..., 1] == 5)).any()
+    walls = {physics.model.name2id(f"obstacle_{n}", "geom") for n in range(4)}
+    assert walls <= set(ids[..., 0].ravel().tolist())
 
 
 @pytest.mark.render

@@ -178,7 +178,6 @@ def fast_sweep(
     # With a border that nothing ever comes from.
     arrival = np.full((rows + 2, columns + 2), np.inf)
     _arrive_straight(blocked, speed, goal_dx, goal_dy, cell, arrival)
-    unchanged = 0
     for sweep in range(4 * most_rounds):
         changed = False
         for i in range(rows):
@@ -190,8 +189,8 @@ def fast_sweep(
                     if new < arrival[r + 1, c + 1] - 1e-9:
                         arrival[r + 1, c + 1] = new
                         changed = True
-        unchanged = 0 if changed else unchanged + 1
-        if unchanged == 4:
+        # Every cell was held against all its neighbours: no sweep will change it.
+        if not changed:
             break
     return arrival[1:-1, 1:-1].copy()
 

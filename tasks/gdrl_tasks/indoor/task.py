@@ -80,7 +80,7 @@ class IndoorOptions:
         check_choice("arena", self.arena, ARENAS)
         check_choice("actions", self.actions, ("discrete", "continuous"))
         check_choice("at_limit", self.at_limit, ("terminated", "truncated"))
-        check_range("speed_m_s", self.speed_m_s, above=0.0, most=1.0)
+        check_range("speed_m_s", self.speed_m_s, above=0.0, most=0.3)
         rates = as_tuple("turn_rates_deg_s", self.turn_rates_deg_s)
         object.__setattr__(self, "turn_rates_deg_s", rates)
         for rate in rates:
@@ -172,7 +172,8 @@ class IndoorTask(NavigationTask):
         ahead = np.array([math.cos(scene.heading_rad), math.sin(scene.heading_rad)])
         qpos = np.zeros(9)
         qpos[:2] = scene.start - BODY_X_M * ahead
-        qpos[2] = WHEEL_RADIUS_M
+        # Where the weight has pressed the tyres a little into the floor.
+        qpos[2] = WHEEL_RADIUS_M - 0.0001
         qpos[3] = math.cos(0.5 * scene.heading_rad)
         qpos[6] = math.sin(0.5 * scene.heading_rad)
         arrays = {
@@ -248,7 +249,9 @@ class IndoorTask(NavigationTask):
             (lidar.NEAREST_M, lidar.FARTHEST_M),
         )
         if self.options.range_noise:
-            ranges += lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
+            noise = lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
+            # A beam that hits nothing reports nothing, whatever the errors.
+            ranges += np.where(ranges < lidar.FARTHEST_M, noise, 0.0)
             np.clip(ranges, lidar.NEAREST_M, lidar.FARTHEST_M, out=ranges)
         arrays["scan"][ids] = ranges
         arrays["scan_number"][ids] = number
