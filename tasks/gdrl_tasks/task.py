@@ -124,7 +124,7 @@ class TaskSpec:
             raise ValueError(f"action of type {action.dtype} must be real numbers")
         if action.shape != shape:
             raise ValueError(f"action of shape {action.shape} must have shape {shape}")
-        if self.is_discrete and action.dtype != np.int64:
+        if self.is_discrete and action.dtype.kind == "f":
             fractional = np.isfinite(action) & (action % 1 != 0)
             if fractional.any():
                 raise ValueError(

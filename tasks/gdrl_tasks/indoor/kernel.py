@@ -2,7 +2,7 @@
 
 :func:`gdrl_tasks.indoor.obstacles.clearance` is the definition of :func:`clearances`,
 and the engine's own rays see what :func:`scan` sees: tests hold them together. The
-engine's rays take six times as long, for each call places every geom of every world.
+engine's rays take five times as long, for each call places every geom of every world.
 """
 
 from __future__ import annotations
