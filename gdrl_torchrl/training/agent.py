@@ -14,6 +14,9 @@ from torchrl.collectors import Collector
 from torchrl.objectives.common import LossModule
 from torchrl.trainers import Trainer
 
+from gdrl_tasks import NavigationTask
+from gdrl_torchrl.config.schema import ExperimentConfig
+
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 NO_FRAME_LIMIT = 1 << 62
 """Budgets end training, not the trainer's own limit."""
@@ -48,3 +51,14 @@ class Agent:
     """Moves the target network towards the agent's by a share ``tau``."""
     share_experience: Callable[[TensorDictBase, float], object] | None = None
     """Takes a share of whole episodes of other policies, ``[T]``, into the buffer."""
+
+
+def check_actions(task: NavigationTask, config: ExperimentConfig) -> None:
+    """Raise ValueError unless the task has the kind of actions the algorithm needs."""
+    needs_discrete = config.algorithm.name == "rainbow"
+    if task.spec.is_discrete != needs_discrete:
+        kind = "discrete" if needs_discrete else "continuous"
+        raise ValueError(
+            f"task.actions={config.task.actions!r}: algorithm.name="
+            f"{config.algorithm.name!r} needs task.actions={kind}"
+        )

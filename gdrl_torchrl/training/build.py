@@ -16,7 +16,7 @@ from gdrl_torchrl.config.task import make_task_from_config
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.evolution.mutation import MUTATIONS, standard_deviation
 from gdrl_torchrl.evolution.schedule import MutationSchedule
-from gdrl_torchrl.training.agent import Agent
+from gdrl_torchrl.training.agent import Agent, check_actions
 from gdrl_torchrl.training.genetic import GeneticHook
 from gdrl_torchrl.training.ppo import make_ppo_actor, make_ppo_agent
 from gdrl_torchrl.training.rainbow import make_rainbow_actor, make_rainbow_agent
@@ -76,7 +76,8 @@ def make_task_of(config: ExperimentConfig) -> NavigationTask:
         ValueError: If task and algorithm do not fit, or an option is out of range.
     """
     task = make_task_from_config(config.task)
-    make_actor(task, config)
+    # Not by making an actor: its weights would come from the run's generator.
+    check_actions(task, config)
     return task
 
 

@@ -20,7 +20,7 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.objectives.ppo import make_ppo_loss
-from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent
+from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent, check_actions
 
 
 def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
@@ -29,11 +29,7 @@ def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> Probabilis
     Raises:
         ValueError: If the task's actions are discrete.
     """
-    if task.spec.is_discrete:
-        raise ValueError(
-            f"task.actions={config.task.actions!r}: algorithm.name="
-            f"{config.algorithm.name!r} needs task.actions=continuous"
-        )
+    check_actions(task, config)
     size = task.spec.action_size
     return make_tanh_normal_actor(
         task.spec.observation_size,

@@ -33,7 +33,7 @@ from gdrl_torchrl.objectives.rainbow import (
     resample_noise,
     soft_update_target,
 )
-from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent
+from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent, check_actions
 
 
 def make_rainbow_actor(
@@ -44,11 +44,7 @@ def make_rainbow_actor(
     Raises:
         ValueError: If the task's actions are continuous.
     """
-    if not task.spec.is_discrete:
-        raise ValueError(
-            f"task.actions={config.task.actions!r}: algorithm.name="
-            f"{config.algorithm.name!r} needs task.actions=discrete"
-        )
+    check_actions(task, config)
     algorithm: RainbowConfig = config.algorithm
     return make_q_actor(
         task.spec.observation_size,
