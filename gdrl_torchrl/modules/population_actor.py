@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.envs.utils import exploration_type
 
-Graph = Callable[[list[torch.Tensor], list[torch.Tensor]], list[torch.Tensor]]
-
+from gdrl_torchrl.modules.graph import Tensors, TracedFunction
 
 _logger = logging.getLogger(__name__)
 
@@ -65,7 +62,8 @@ class PopulationActor:
         if not self._names:
             raise ValueError(f"{type(actor).__name__} has no parameters")
         self._params: TensorDictBase | None = None
-        self._graphs: dict[Any, Graph | None] = {}
+        self._graphs: dict[Any, TracedFunction | None] = {}
+        self._prepared: dict[Any, Tensors] = {}
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
 
     def load(self, genomes: TensorDictBase) -> None:
@@ -90,10 +88,12 @@ class PopulationActor:
         whole = own.data.expand(count)
         # A locked view of the module: copied structure, shared memory.
         self._params = whole.copy().unlock_().update(genomes)
+        self._prepared.clear()
 
     def unload(self) -> None:
         """Forget the members."""
         self._params = None
+        self._prepared.clear()
 
     @torch.no_grad()
     def __call__(self, rows: TensorDictBase) -> TensorDictBase:
@@ -136,9 +136,9 @@ class PopulationActor:
             Actions ``[P, S, ...]`` and the mask of rows whose network output was a
             number ``[P, S]``.
         """
-        graph = self._graph(inputs, whole=True)
-        if graph is not None:
-            action, finite = graph(self._values(), list(_leaves(inputs).values()))
+        traced = self._run_graph(inputs, whole=True)
+        if traced is not None:
+            action, finite = traced
             if bool(finite.all()):
                 return action, finite
         rows = self(inputs.clone().reshape(-1))
@@ -148,25 +148,24 @@ class PopulationActor:
             rows["policy_is_finite"].unflatten(0, size),
         )
 
-    def _values(self) -> list[torch.Tensor]:
-        assert self._params is not None
-        return list(_leaves(self._params).values())
-
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
-        assert self._params is not None
-        graph = self._graph(inputs)
-        if graph is None:
+        traced = self._run_graph(inputs)
+        if traced is None:
+            assert self._params is not None
             return _leaves(self._vmapped(self._params, inputs))
-        values = graph(self._values(), list(_leaves(inputs).values()))
-        return dict(zip(self._prefix.out_keys, values, strict=True))
+        return dict(zip(self._prefix.out_keys, traced, strict=True))
 
-    def _graph(self, inputs: TensorDictBase, *, whole: bool = False) -> Graph | None:
+    def _run_graph(
+        self, inputs: TensorDictBase, *, whole: bool = False
+    ) -> tuple[torch.Tensor, ...] | None:
+        """Outputs of the graph for inputs ``[P, S]``, or None if there is no graph."""
         if not self.trace:
             return None
+        values = _leaves(inputs)
         # All that the operations depend on beside the numbers.
         key = (
-            tuple((name, x.shape, x.dtype) for name, x in _leaves(inputs).items()),
+            tuple((name, x.shape, x.dtype) for name, x in values.items()),
             exploration_type(),
             self._prefix.training,
             whole,
@@ -174,7 +173,13 @@ class PopulationActor:
         if key not in self._graphs:
             run = self._run_whole if whole else self._run_prefix
             self._graphs[key] = self._traced(run, inputs)
-        return self._graphs[key]
+        graph = self._graphs[key]
+        if graph is None:
+            return None
+        if key not in self._prepared:
+            assert self._params is not None
+            self._prepared[key] = graph.prepare(list(_leaves(self._params).values()))
+        return graph.run(self._prepared[key], list(values.values()))
 
     def _run_prefix(
         self, params: TensorDictBase, inputs: TensorDictBase
@@ -187,34 +192,38 @@ class PopulationActor:
     ) -> list[torch.Tensor]:
         size = inputs.batch_size
         out = self._vmapped(params, inputs).reshape(-1)
-        finite = torch.ones(out.batch_size, dtype=torch.bool)
-        for value in _leaves(out).values():
-            if value.dtype.is_floating_point:
-                finite = finite & torch.isfinite(value).reshape(len(value), -1).all(dim=1)
+        sums = [
+            value.sum(dim=tuple(range(1, value.ndim))) if value.ndim > 1 else value
+            for value in _leaves(out).values()
+            if value.dtype.is_floating_point
+        ]
+        # A sum is finite if all numbers are, unless it overflows: who sees that it is
+        # not looks at the numbers themselves. Infinity less infinity is not a number.
+        total = torch.stack(sums).sum(0) if len(sums) > 1 else sums[0]
+        finite = total - total == 0.0
         rows = inputs.clone().reshape(-1).update(out)
         for head in self._heads:
             rows = head(rows)
         return [rows[self.action_key].unflatten(0, size), finite.unflatten(0, size)]
 
-    def _traced(self, run: Any, inputs: TensorDictBase) -> Graph | None:
+    def _traced(self, run: Any, inputs: TensorDictBase) -> TracedFunction | None:
         """A function of genomes and inputs as a graph, or None if it is not one."""
         assert self._params is not None
         params, count = _leaves(self._params), self._params.batch_size
         leaves, size = _leaves(inputs), inputs.batch_size
 
-        def flat(
-            param_values: list[torch.Tensor], input_values: list[torch.Tensor]
-        ) -> list[torch.Tensor]:
-            genomes = _nested(params, param_values, count)
-            return run(genomes, _nested(leaves, input_values, size))
+        def flat(constants: Tensors, values: Tensors) -> Tensors:
+            genomes = _nested(params, constants, count)
+            return run(genomes, _nested(leaves, values, size))
 
-        arguments = (list(params.values()), list(leaves.values()))
+        constants, values = list(params.values()), list(leaves.values())
         try:
-            expected = flat(*arguments)
-            graph = make_fx(flat)(*arguments)
+            expected = flat(constants, values)
+            graph = TracedFunction(flat, constants, values)
+            outputs = graph.run(graph.prepare(constants), values)
             same = all(
                 torch.equal(torch.nan_to_num(one), torch.nan_to_num(other))
-                for one, other in zip(graph(*arguments), expected, strict=True)
+                for one, other in zip(outputs, expected, strict=True)
             )
         except Exception as error:  # whatever a module of a user raises when traced
             _logger.debug("%s is not traced: %s", type(self.actor).__name__, error)

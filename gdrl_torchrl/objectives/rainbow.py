@@ -120,7 +120,7 @@ class RainbowLoss(DistributionalDQNLoss):
                 ahead = self._logits(following)
         with torch.no_grad():
             # The action with the best mean; no gradient needs its logarithms.
-            best = (ahead.softmax(-2) * support[:, None]).sum(-2).argmax(-1)
+            best = (ahead.softmax(-1) @ support).argmax(-1)
             with self._target():
                 values = _of_actions(self._logits(following), best).softmax(-1)
             steps = batch.get(names.steps_to_next_obs, support.new_ones(size))
@@ -170,7 +170,9 @@ class RainbowLoss(DistributionalDQNLoss):
 
     def _logits(self, rows: TensorDictBase) -> torch.Tensor:
         inputs = rows.select(*self._network.in_keys)
-        return self._network(inputs).get(self.tensor_keys.action_value)
+        values = self._network(inputs).get(self.tensor_keys.action_value)
+        # Atoms last: that is how our network has them in memory.
+        return values.transpose(-1, -2)
 
 
 def project(
@@ -268,6 +270,6 @@ def resample_noise(loss: RainbowLoss) -> None:
 
 
 def _of_actions(logits: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-    """What ``[B, Z, A]`` says of actions ``[B]``: ``[B, Z]``."""
-    index = action[:, None, None].expand(-1, logits.shape[-2], 1)
-    return logits.gather(-1, index).squeeze(-1)
+    """What ``[B, A, Z]`` says of actions ``[B]``: ``[B, Z]``."""
+    index = action[:, None, None].expand(-1, 1, logits.shape[-1])
+    return logits.gather(-2, index).squeeze(-2)

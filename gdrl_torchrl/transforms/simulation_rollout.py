@@ -15,10 +15,12 @@ from gdrl_torchrl import keys
 if TYPE_CHECKING:
     from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
-_BLOCK = 5
+_BLOCK = 10
 """Most rows of one member that act together."""
-_FEWEST_BLOCKS = 4
+_FEWEST_BLOCKS = 2
 """A batch of fewer blocks is no faster."""
+_SHRINK = 0.75
+"""Each shape has about this share of the blocks of the one before."""
 
 
 def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
@@ -44,12 +46,12 @@ def block_shapes(members: int, trials: int) -> list[tuple[int, int]]:
 
     Examples:
         >>> block_shapes(11, 20)
-        [(44, 5), (22, 5), (11, 5), (5, 5)]
+        [(22, 10), (16, 10), (12, 10), (9, 10), (6, 10), (4, 10), (3, 10), (2, 10)]
     """
     size = min(trials, _BLOCK)
     counts = [members * -(-trials // size)]
-    while counts[-1] // 2 >= _FEWEST_BLOCKS:
-        counts.append(counts[-1] // 2)
+    while int(_SHRINK * counts[-1]) >= _FEWEST_BLOCKS:
+        counts.append(int(_SHRINK * counts[-1]))
     return [(count, size) for count in counts]
 
 
@@ -57,8 +59,8 @@ class SimulationRollout:
     """As ``PopulationRollout``, for when no transitions are asked for.
 
     Steps only the worlds whose episodes go on. They act in blocks of a few rows, each
-    with the weights of its member, and the number of blocks is halved as episodes end:
-    what is left of the time is the engine's and the policy's.
+    with the weights of its member, and there are fewer blocks as episodes end: what is
+    left of the time is the engine's and the policy's.
     """
 
     def __init__(

@@ -33,7 +33,7 @@ from dm_control.suite import base
 from dm_env import specs
 
 from gdrl_tasks.batch import quiet_engine
-from gdrl_tasks.kernels import state_is_sane
+from gdrl_tasks.kernels import all_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.task import NavigationTask
 
@@ -62,7 +62,7 @@ class TaskPhysics(mujoco.Physics):
                     self.before_substep()
                     self._step_with_up_to_date_position_velocity(1)
         # A reset clears the engine's counts.
-        self.diverged = bool(self._warnings.any())
+        self.diverged = any(self._warnings.tolist())
 
     def render(self, *args: Any, **kwargs: Any) -> np.ndarray:
         """Render, after the scenery was brought up to date."""
@@ -128,7 +128,7 @@ class SuiteTask(base.Task):
             physics.diverged = True
             return
         self.task.set_action(self.arrays, _ONE_WORLD, action)
-        if physics.model.nu:
+        if "control" in self.arrays:
             physics.data.ctrl[:] = self.arrays["control"][0]
 
     def after_step(self, physics: TaskPhysics) -> None:
@@ -194,7 +194,7 @@ class SuiteTask(base.Task):
 
 
 def _is_sane(physics: TaskPhysics) -> bool:
-    return bool(state_is_sane(physics.data.qpos[None], physics.data.qvel[None])[0])
+    return all_sane(physics.data.qpos, physics.data.qvel)
 
 
 def make_environment(

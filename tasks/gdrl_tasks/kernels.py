@@ -19,17 +19,27 @@ _SUCCESS = int(Outcome.SUCCESS)
 _COLLISION = int(Outcome.COLLISION)
 _TIMEOUT = int(Outcome.TIMEOUT)
 _DIVERGED = int(Outcome.DIVERGED)
-_LARGEST_STATE = 1e6
+LARGEST_STATE = 1e6
+"""A larger number in a state, or what is not a number, is not to be believed."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def is_within(values: np.ndarray, most: float) -> bool:
-    """Whether every number of a state ``[K, N]`` is finite and at most ``most``."""
-    for row in values:
-        for value in row:
-            # Written so that NaN is not within.
-            if not abs(value) <= most:
+def all_sane(qpos: np.ndarray, qvel: np.ndarray) -> bool:
+    """Whether every state is to be believed, of one world or of many."""
+    for values in (qpos, qvel):
+        for value in values.flat:
+            # Written so that NaN is not sane.
+            if not abs(value) < LARGEST_STATE:
                 return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def all_choices(action: np.ndarray, count: int) -> bool:
+    """Whether integers ``[K]`` are in [0, count)."""
+    for value in action:  # noqa: SIM110 - all() of a generator is slow to compile
+        if not 0 <= value < count:
+            return False
     return True
 
 
@@ -39,9 +49,9 @@ def state_is_sane(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     sane = np.ones(len(qpos), dtype=np.bool_)
     for k in range(len(qpos)):
         for value in qpos[k]:
-            sane[k] &= abs(value) < _LARGEST_STATE
+            sane[k] &= abs(value) < LARGEST_STATE
         for value in qvel[k]:
-            sane[k] &= abs(value) < _LARGEST_STATE
+            sane[k] &= abs(value) < LARGEST_STATE
     return sane
 
 

@@ -17,18 +17,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gdrl_tasks.kernels import (
+    LARGEST_STATE,
+    all_choices,
+    all_sane,
     clip_rows,
     finish,
     free_body_pose,
-    is_within,
     observe_goal,
 )
 
 WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
-
-LARGEST_SEEN = 1e6
-"""Sensors see a state beyond this, and what is not a number, as this."""
 
 WorldIndex = np.ndarray
 """Indices of the worlds that a call acts on, ``[K]``, int64, ascending."""
@@ -124,6 +123,9 @@ class TaskSpec:
             raise ValueError(f"action of type {action.dtype} must be real numbers")
         if action.shape != shape:
             raise ValueError(f"action of shape {action.shape} must have shape {shape}")
+        is_int64 = self.is_discrete and action.dtype == np.int64
+        if is_int64 and all_choices(action, self.action_size):
+            return action
         if self.is_discrete and action.dtype.kind == "f":
             fractional = np.isfinite(action) & (action % 1 != 0)
             if fractional.any():
@@ -229,13 +231,16 @@ class NavigationTask(abc.ABC):
             ids: The worlds.
         """
 
-    def sense(self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray) -> None:
+    def sense(
+        self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
+    ) -> None:
         """Store what sensors with a memory read, at the start and after every step.
 
         Args:
             arrays: Arrays of all worlds; ``steps`` counts the step that was made.
             ids: The worlds.
-            qpos: Their generalised positions, ``[K, nq]``, always finite.
+            position: Where they are, metres, ``[K, 2]``, always finite.
+            yaw: Their headings, radians, ``[K]``, always finite.
         """
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
@@ -266,14 +271,15 @@ class NavigationTask(abc.ABC):
             value[ids] = 0
         for name, value in episode.arrays.items():
             arrays[name][ids] = value
-        position, _ = self.planar_pose(episode.qpos[None])
+        qpos = np.repeat(episode.qpos[None], len(ids), axis=0)
+        position, yaw = self.planar_pose(qpos)
         distance = np.hypot(*(arrays["goal"][ids] - position).T)
         arrays["position"][ids] = position
         arrays["distance"][ids] = distance
         shortest = episode.arrays.get("shortest_path", distance)
         arrays["shortest_path"][ids] = np.maximum(shortest - self.goal_tolerance_m, 0.0)
         arrays["episode_seed"][ids] = seed
-        self.sense(arrays, ids, np.repeat(episode.qpos[None], len(ids), axis=0))
+        self.sense(arrays, ids, position, yaw)
 
     def finish_step(
         self,
@@ -292,11 +298,11 @@ class NavigationTask(abc.ABC):
         """
         if diverged.any():
             qpos = np.where(diverged[:, None], 0.0, qpos)
-        position, _ = self.planar_pose(qpos)
+        position, yaw = self.planar_pose(qpos)
         reward = finish(
             ids,
             position,
-            self.collides(arrays, ids, qpos),
+            self.collides(arrays, ids, position, yaw),
             diverged,
             (
                 self.goal_tolerance_m,
@@ -312,11 +318,11 @@ class NavigationTask(abc.ABC):
             arrays["steps"],
             arrays["outcome"],
         )
-        self.sense(arrays, ids, qpos)
+        self.sense(arrays, ids, position, yaw)
         return reward
 
     def collides(
-        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+        self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> np.ndarray:
         """Mask of worlds in collision, ``[K]``; open water has none."""
         return np.zeros(len(ids), dtype=bool)
@@ -325,7 +331,8 @@ class NavigationTask(abc.ABC):
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
     ) -> np.ndarray:
         """Flat observations of worlds ``ids``, ``[K, D]``, always finite."""
-        qpos, qvel = believable(qpos), believable(qvel)
+        if not all_sane(qpos, qvel):
+            qpos, qvel = believable(qpos), believable(qvel)
         position, yaw = self.planar_pose(qpos)
         flat = np.empty((len(ids), self.spec.observation_size))
         observe_goal(ids, position, yaw, arrays["goal"], self.distance_scale_m, flat)
@@ -347,6 +354,4 @@ def believable(state: np.ndarray) -> np.ndarray:
 
     A diverged world is observed too: its numbers need only be finite.
     """
-    if is_within(state, LARGEST_SEEN):
-        return state
-    return np.clip(np.nan_to_num(state), -LARGEST_SEEN, LARGEST_SEEN)
+    return np.clip(np.nan_to_num(state), -LARGEST_STATE, LARGEST_STATE)

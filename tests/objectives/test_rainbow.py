@@ -254,11 +254,11 @@ def test_the_online_network_selects_and_the_target_network_values():
     with torch.no_grad():
         for parameter in actor.parameters():
             parameter.zero_()
-        # Atoms, then actions. The target prefers action 0, the online network action 1.
-        bias.copy_(torch.tensor([[0.0, 5.0], [0.0, 0.0], [5.0, 0.0]]).flatten())
+        # Rows are atoms. The target prefers action 0, the online network action 1.
+        bias.copy_(torch.tensor([[0.0, 5.0], [0.0, 0.0], [5.0, 0.0]]).T.flatten())
     loss = RainbowLoss(actor, gamma=1.0)
     with torch.no_grad():
-        bias.copy_(torch.tensor([[4.0, 0.0], [0.0, 0.0], [0.0, 4.0]]).flatten())
+        bias.copy_(torch.tensor([[4.0, 0.0], [0.0, 0.0], [0.0, 4.0]]).T.flatten())
     batch = TensorDict(
         {
             "observation": torch.zeros(1, 1),

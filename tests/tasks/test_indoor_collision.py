@@ -196,7 +196,8 @@ def test_the_engine_touches_what_the_layout_says(arena, indoor_pose):
             pairs = np.array([(c.geom1, c.geom2) for c in data.contact])
             in_contact = bool(len(pairs)) and bool((pairs == bumper).any())
             one = np.zeros(1, dtype=np.int64)
-            (collides,) = suite_task.task.collides(suite_task.arrays, one, data.qpos[None])
+            pose = suite_task.task.planar_pose(data.qpos[None])
+            (collides,) = suite_task.task.collides(suite_task.arrays, one, *pose)
             if abs(room) > 1e-6:
                 assert in_contact == (room < 0.0)
             if abs(room - MARGIN_M) > 1e-9:

@@ -12,6 +12,9 @@ import math
 import numba
 import numpy as np
 
+_TINY = 1e-300
+"""In place of a slope of 0: a beam along a side crosses it infinitely far away."""
+
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def clearances(
@@ -54,79 +57,119 @@ def ahead_of(position: np.ndarray, yaw: np.ndarray, distance: float) -> np.ndarr
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan(
-    origins: np.ndarray,
+def clearances_ahead(
+    position: np.ndarray,
     yaw: np.ndarray,
-    angles: np.ndarray,
+    distance: float,
+    layouts: np.ndarray,
+    places: np.ndarray,
+    is_box: np.ndarray,
+    half_size: np.ndarray,
+) -> np.ndarray:
+    """:func:`clearances` of the points ahead of positions, ``[K]``."""
+    points = ahead_of(position, yaw, distance)
+    return clearances(points, layouts, places, is_box, half_size)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def scan_ahead(
+    position: np.ndarray,
+    yaw: np.ndarray,
+    distance: float,
+    beams: np.ndarray,
     layouts: np.ndarray,
     places: np.ndarray,
     is_box: np.ndarray,
     half_size: np.ndarray,
     limits: tuple[float, float],
 ) -> np.ndarray:
-    """Ranges of the beams at ``angles`` ``[B]`` from ``origins`` ``[K, 2]``, ``[K, B]``.
+    """:func:`scan` from the points ahead of positions, ``[K, B]``."""
+    origins = ahead_of(position, yaw, distance)
+    return scan(origins, yaw, beams, layouts, places, is_box, half_size, limits)
 
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def scan(
+    origins: np.ndarray,
+    yaw: np.ndarray,
+    beams: np.ndarray,
+    layouts: np.ndarray,
+    places: np.ndarray,
+    is_box: np.ndarray,
+    half_size: np.ndarray,
+    limits: tuple[float, float],
+) -> np.ndarray:
+    """Ranges of beams from ``origins`` ``[K, 2]``, ``[K, B]``.
+
+    ``beams`` ``[2, B]`` are cosines and sines of their angles to the heading;
     ``layouts`` ``[K]`` are rows of ``places`` ``[M, N, 4]``; ``limits`` are the nearest
     and the farthest range that is reported, the latter for a beam that hits nothing.
     """
     nearest, farthest = limits
-    ranges = np.empty((len(origins), len(angles)))
+    ranges = np.full((len(origins), beams.shape[1]), farthest)
     for k in range(len(origins)):
-        for b in range(len(angles)):
-            cosine, sine = math.cos(yaw[k] + angles[b]), math.sin(yaw[k] + angles[b])
-            hit = farthest
-            for n in range(len(is_box)):
-                place = places[layouts[k], n]
-                x, y = origins[k, 0] - place[0], origins[k, 1] - place[1]
-                if is_box[n]:
-                    distance = _to_box(x, y, cosine, sine, place[2], place[3], half_size[n])
-                else:
-                    distance = _to_circle(x, y, cosine, sine, half_size[n, 0])
-                hit = min(hit, distance)
-            ranges[k, b] = max(hit, nearest)
+        ahead, left = math.cos(yaw[k]), math.sin(yaw[k])
+        for n in range(len(is_box)):
+            # All in the obstacle's own axes, which its beams share.
+            x, y, cosine, sine = places[layouts[k], n]
+            dx, dy = origins[k, 0] - x, origins[k, 1] - y
+            start = cosine * dx + sine * dy, cosine * dy - sine * dx
+            heading = cosine * ahead + sine * left, cosine * left - sine * ahead
+            if is_box[n]:
+                _to_box(start, heading, beams, half_size[n], ranges[k])
+            else:
+                _to_circle(start, heading, beams, half_size[n, 0], ranges[k])
+        for b in range(beams.shape[1]):
+            ranges[k, b] = max(ranges[k, b], nearest)
     return ranges
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _to_circle(x: float, y: float, cosine: float, sine: float, radius: float) -> float:
-    """Way from (x, y) to a circle around 0; infinite if missed, 0 from inside."""
-    outside = x * x + y * y - radius * radius
-    if outside <= 0.0:
-        return 0.0
-    towards = -(x * cosine + y * sine)
-    squared = towards * towards - outside
-    if towards <= 0.0 or squared < 0.0:
-        return np.inf
-    return towards - math.sqrt(squared)
+def _to_circle(
+    start: tuple[float, float],
+    heading: tuple[float, float],
+    beams: np.ndarray,
+    radius: float,
+    ranges: np.ndarray,
+) -> None:
+    """Shorten the ranges ``[B]`` of beams that hit a circle around 0."""
+    outside = start[0] * start[0] + start[1] * start[1] - radius * radius
+    ahead = start[0] * heading[0] + start[1] * heading[1]
+    left = start[1] * heading[0] - start[0] * heading[1]
+    for b in range(beams.shape[1]):
+        towards = -(ahead * beams[0, b] + left * beams[1, b])
+        squared = towards * towards - outside
+        if outside <= 0.0:
+            ranges[b] = 0.0
+        elif towards > 0.0 and squared >= 0.0:
+            ranges[b] = min(ranges[b], towards - math.sqrt(squared))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _to_box(
-    x: float,
-    y: float,
-    cosine: float,
-    sine: float,
-    turn_cosine: float,
-    turn_sine: float,
+    start: tuple[float, float],
+    heading: tuple[float, float],
+    beams: np.ndarray,
     half: np.ndarray,
-) -> float:
-    """Way from (x, y) to a turned box around 0; infinite if missed, 0 from inside."""
-    begin, end = 0.0, np.inf
-    for axis in range(2):
-        # Position and direction along one of the box's own axes.
-        if axis == 0:
-            start = turn_cosine * x + turn_sine * y
-            slope = turn_cosine * cosine + turn_sine * sine
-        else:
-            start = turn_cosine * y - turn_sine * x
-            slope = turn_cosine * sine - turn_sine * cosine
-        if slope == 0.0:
-            if abs(start) > half[axis]:
-                return np.inf
-            continue
-        one, other = (-half[axis] - start) / slope, (half[axis] - start) / slope
-        begin, end = max(begin, min(one, other)), min(end, max(one, other))
-    return begin if begin <= end else np.inf
+    ranges: np.ndarray,
+) -> None:
+    """Shorten the ranges ``[B]`` of beams that hit a box around 0; 0 from inside."""
+    (x, y), (c, s) = start, heading
+    # No branches, so that beams are computed side by side: each crosses the two pairs
+    # of parallel sides, one pair after the other.
+    for b in range(beams.shape[1]):
+        slope = c * beams[0, b] - s * beams[1, b]
+        over = 1.0 / (slope if slope != 0.0 else _TINY)
+        middle, reach = -x * over, abs(half[0] * over)
+        begin, end = middle - reach, middle + reach
+        slope = s * beams[0, b] + c * beams[1, b]
+        over = 1.0 / (slope if slope != 0.0 else _TINY)
+        middle, reach = -y * over, abs(half[1] * over)
+        begin = middle - reach if middle - reach > begin else begin
+        end = middle + reach if middle + reach < end else end
+        begin = begin if begin > 0.0 else 0.0
+        hit = begin if begin <= end else np.inf
+        ranges[b] = hit if hit < ranges[b] else ranges[b]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -20,7 +20,7 @@ from gdrl_tasks.checks import (
 )
 from gdrl_tasks.indoor import lidar
 from gdrl_tasks.indoor.arena import ARENAS
-from gdrl_tasks.indoor.kernel import ahead_of, clearances, scan
+from gdrl_tasks.indoor.kernel import ahead_of, clearances_ahead, scan_ahead
 from gdrl_tasks.indoor.robot import (
     BODY_X_M,
     BURGER_WHEEL_SPEED_M_S,
@@ -136,6 +136,8 @@ class IndoorTask(NavigationTask):
             * options.control_interval_s,
         )
         self._angles = lidar.beam_angles(options.num_beams, options.field_of_view_deg)
+        self._beams = np.stack([np.cos(self._angles), np.sin(self._angles)])
+        self._shapes = self.arena.shapes.is_box, self.arena.shapes.half_size
         self._turn_rates = np.radians(options.turn_rates_deg_s)
         speeds = np.full(len(self._turn_rates), options.speed_m_s)
         self._discrete = self.wheel_rates(speeds, self._turn_rates)
@@ -219,15 +221,17 @@ class IndoorTask(NavigationTask):
         return ahead_of(axle, yaw, BODY_X_M), yaw
 
     def collides(
-        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+        self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> np.ndarray:
         """Mask of robots whose footprint touches a wall or an obstacle, ``[K]``."""
-        shapes = self.arena.shapes
-        centre, _ = self.body_centre(qpos)
-        room = clearances(centre, ids, arrays["obstacles"], shapes.is_box, shapes.half_size)
+        room = clearances_ahead(
+            position, yaw, BODY_X_M, ids, arrays["obstacles"], *self._shapes
+        )
         return room <= FOOTPRINT_M + COLLISION_MARGIN_M
 
-    def sense(self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray) -> None:
+    def sense(
+        self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
+    ) -> None:
         """Scan, where a new scan is due."""
         number = arrays["steps"][ids]
         if self.options.scan_hold:
@@ -235,17 +239,16 @@ class IndoorTask(NavigationTask):
             is_first = number == 0
             number = np.floor(time_s / lidar.SCAN_INTERVAL_S + 1e-9).astype(np.int64)
             due = is_first | (number > arrays["scan_number"][ids])
-            ids, qpos, number = ids[due], qpos[due], number[due]
-        centre, yaw = self.body_centre(qpos)
-        shapes = self.arena.shapes
-        ranges = scan(
-            centre,
+            ids, number = ids[due], number[due]
+            position, yaw = position[due], yaw[due]
+        ranges = scan_ahead(
+            position,
             yaw,
-            self._angles,
+            BODY_X_M,
+            self._beams,
             ids,
             arrays["obstacles"],
-            shapes.is_box,
-            shapes.half_size,
+            *self._shapes,
             (lidar.NEAREST_M, lidar.FARTHEST_M),
         )
         if self.options.range_noise:

@@ -1,0 +1,144 @@
+"""Functions of tensors as graphs: traced once, run without Python's share of the work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import fx
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.fx.node import map_arg
+
+Tensors = list[torch.Tensor]
+
+_PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
+
+
+class TracedFunction:
+    """A function ``(constants, inputs) -> outputs`` of lists of tensors, as a graph.
+
+    Operations that change nothing (a view of the same shape, a product with 1) are left
+    out, and those that depend on nothing but the constants are run once, when the
+    constants are given. What remains gives the same numbers as the function, bit for
+    bit, for tensors of the shapes that it was traced with.
+
+    Args:
+        function: Called once, with the tensors below. What it does must not depend on
+            their numbers.
+        constants: Tensors that change seldom.
+        inputs: Tensors that change at every call.
+
+    Raises:
+        Exception: What ``function`` raises when it is traced.
+
+    Examples:
+        >>> def line(constants, inputs):
+        ...     return [constants[0].exp() * inputs[0] * 1]
+        >>> zero, ones = torch.zeros(2), torch.ones(2)
+        >>> traced = TracedFunction(line, [zero], [ones])
+        >>> traced.run(traced.prepare([zero]), [3 * ones])
+        (tensor([3., 3.]),)
+        >>> traced.num_operations
+        1
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Tensors, Tensors], Sequence[torch.Tensor]],
+        constants: Tensors,
+        inputs: Tensors,
+    ) -> None:
+        count = len(constants)
+
+        def flat(*tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            return tuple(function(list(tensors[:count]), list(tensors[count:])))
+
+        tensors = (*constants, *inputs)
+        whole = make_fx(flat)(*tensors)
+        if not any(_writes(node) for node in whole.graph.nodes):
+            _Identities(whole).run(*tensors)
+        whole.graph.eliminate_dead_code()
+        self._before, self._after = _split(whole, count)
+        self.num_operations = sum(
+            node.op == "call_function" and "getitem" not in str(node.target)
+            for node in self._after.graph.nodes
+        )
+
+    def prepare(self, constants: Tensors) -> Tensors:
+        """What :meth:`run` needs of the constants."""
+        return list(self._before(*constants))
+
+    def run(self, prepared: Tensors, inputs: Tensors) -> tuple[torch.Tensor, ...]:
+        """The function's outputs for inputs, and for the constants prepared."""
+        return self._after(*prepared, *inputs)
+
+
+class _Identities(fx.Interpreter):
+    """Replaces what gives a tensor that there is already by the one that gave it."""
+
+    def __init__(self, whole: fx.GraphModule) -> None:
+        # Tensors are told apart by their memory, so none may be freed.
+        super().__init__(whole, garbage_collect_values=False)
+        self._first: dict[Any, fx.Node] = {}
+
+    def run_node(self, n: fx.Node) -> Any:
+        result = super().run_node(n)
+        if not isinstance(result, torch.Tensor):
+            return result
+        first = self._first.setdefault(_place(result), n)
+        if n.target in _PRODUCTS and not isinstance(n.args[1], fx.Node):
+            factor, number = n.args
+            is_one = number == 1 and isinstance(factor, fx.Node)
+            if is_one and _layout(self.env[factor]) == _layout(result):  # pyright: ignore
+                first = factor
+        if first is not n and n.op == "call_function":
+            n.replace_all_uses_with(first)  # pyright: ignore[reportArgumentType]
+        return result
+
+
+def _layout(tensor: torch.Tensor) -> tuple[Any, ...]:
+    flags = tensor.is_conj(), tensor.is_neg()
+    return tensor.dtype, tensor.shape, tensor.stride(), flags
+
+
+def _place(tensor: torch.Tensor) -> tuple[Any, ...]:
+    memory = tensor.untyped_storage().data_ptr()
+    return memory, tensor.data_ptr(), *_layout(tensor)
+
+
+def _writes(node: fx.Node) -> bool:
+    schema = getattr(node.target, "_schema", None)
+    return schema is not None and schema.is_mutable
+
+
+def _split(whole: fx.GraphModule, count: int) -> tuple[fx.GraphModule, fx.GraphModule]:
+    """The part that depends on the first ``count`` arguments alone, and the rest."""
+    before, after = fx.Graph(), fx.Graph()
+    nodes = list(whole.graph.nodes)
+    placeholders = [node for node in nodes if node.op == "placeholder"]
+    varying = set(placeholders[count:])
+    # What one run writes into must not be there at the next.
+    all_vary = any(_writes(node) for node in nodes)
+    for node in nodes:
+        is_random = torch.Tag.nondeterministic_seeded in getattr(node.target, "tags", ())
+        varies = is_random or varying.intersection(node.all_input_nodes)
+        if varies or (all_vary and node.op == "call_function"):
+            varying.add(node)
+    early: dict[fx.Node, fx.Node] = {}
+    for node in nodes:
+        if node not in varying and node.op != "output":
+            early[node] = before.node_copy(node, early.__getitem__)
+    needed = [
+        node
+        for node in early
+        if any(user in varying or user.op == "output" for user in node.users)
+    ]
+    before.output(tuple(early[node] for node in needed))
+    late = {node: after.placeholder(node.name) for node in needed}
+    for node in nodes:
+        if node in varying and node.op != "output":
+            late[node] = after.node_copy(node, late.__getitem__)
+    output = nodes[-1]
+    after.output(map_arg(output.args[0], late.__getitem__))
+    return fx.GraphModule(whole, before), fx.GraphModule(whole, after)
