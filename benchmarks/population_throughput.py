@@ -35,12 +35,8 @@ from torchrl.envs import DMControlWrapper, ParallelEnv
 from torchrl.envs.utils import step_mdp
 
 from gdrl_tasks import load, make_task, task_names
-from gdrl_torchrl.config.schema import (
-    ExperimentConfig,
-    NetworkConfig,
-    PPOConfig,
-    RainbowConfig,
-)
+from gdrl_torchrl.config.algorithms import PPOConfig, RainbowConfig
+from gdrl_torchrl.config.schema import ExperimentConfig, NetworkConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies

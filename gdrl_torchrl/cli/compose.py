@@ -12,7 +12,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_tasks import task_names
 from gdrl_torchrl.config import schema
+from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.config.evolution import EVOLUTIONS
 from gdrl_torchrl.config.task import task_config_class
+from gdrl_torchrl.config.toy import as_toy
 
 CONFIG_MODULE = "gdrl_torchrl.conf"
 _PROVIDER = "gdrl_torchrl"
@@ -27,10 +30,11 @@ def register_configs() -> None:
         store.store(name=name, node=node, group=group, provider=_PROVIDER)
 
     add("experiment_config", schema.ExperimentConfig)
-    for name, node in schema.ALGORITHMS.items():
+    for name, node in ALGORITHMS.items():
         add(f"{name}_config", node, "algorithm")
     add("network_config", schema.NetworkConfig, "network")
-    add("evolution_config", schema.EvolutionConfig, "evolution")
+    for name, node in EVOLUTIONS.items():
+        add(f"{name}_config", node, "evolution")
     for name in task_names():
         add(f"{name}_config", task_config_class(name), "task")
 
@@ -46,7 +50,7 @@ def to_experiment(config: DictConfig) -> schema.ExperimentConfig:
     except OmegaConfBaseException as error:
         raise ValueError(str(error)) from error
     assert isinstance(experiment, schema.ExperimentConfig)
-    return experiment
+    return as_toy(experiment) if experiment.toy else experiment
 
 
 def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:

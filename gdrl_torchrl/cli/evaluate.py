@@ -9,12 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.cli.compose import merge_task
-from gdrl_torchrl.config.schema import (
-    ALGORITHMS,
-    EvaluationConfig,
-    ExperimentConfig,
-    NetworkConfig,
-)
+from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig, NetworkConfig
 
 _USAGE = (
     "usage: gdrl-evaluate run=<run directory> [episodes=N] [seed=N] "

@@ -1,22 +1,37 @@
-"""``gdrl-train experiment=<name> ...``: train or go on; prints the run directory."""
+"""``gdrl-train experiment=<name> ...``: train or go on; prints the run directory.
+
+``gdrl-train -m +sweep=<name>`` does so for every job of a sweep, one after another.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
+from pathlib import Path
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from gdrl_torchrl.cli.compose import CONFIG_MODULE, register_configs, to_experiment
 
 
 @hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name="config", version_base="1.3")
-def _train(config: DictConfig) -> None:
+def _train(config: DictConfig) -> float:
+    """Run one job; its value is the held-out success rate, for sweepers that search."""
+    in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     try:
-        experiment = to_experiment(config)
+        return _run_job(config)
     except ValueError as error:
+        if in_sweep:
+            raise
         sys.exit(f"error: {error}")
+
+
+def _run_job(config: DictConfig) -> float:
+    experiment = to_experiment(config)
     # Imported here so that --help is answered without them.
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
     from gdrl_torchrl.training.run_directory import RunDirectoryError
@@ -26,12 +41,15 @@ def _train(config: DictConfig) -> None:
     for name in ("torchrl", "absl", "OpenGL"):
         logging.getLogger(name).setLevel(logging.WARNING)
     try:
-        print(run_experiment(experiment))
+        path = run_experiment(experiment)
     except InterruptedRunError as stop:
+        # Not an error of this job: it ends a sweep too.
         print(stop, file=sys.stderr)
         sys.exit(128 + stop.signal)
-    except (ValueError, RunDirectoryError) as error:
-        sys.exit(f"error: {error}")
+    except RunDirectoryError as error:
+        raise ValueError(str(error)) from error
+    print(path)
+    return float(json.loads((Path(path) / "evaluation.json").read_text())["success_rate"])
 
 
 def main() -> None:

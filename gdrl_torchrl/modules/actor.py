@@ -1,4 +1,4 @@
-"""Actors and critics for continuous actions."""
+"""Actors and critics without a distribution over returns."""
 
 from __future__ import annotations
 
@@ -7,8 +7,14 @@ import math
 import torch
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import nn
-from torchrl.data import Bounded
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.data import Bounded, Categorical
+from torchrl.modules import (
+    MLP,
+    ProbabilisticActor,
+    QValueActor,
+    TanhNormal,
+    ValueOperator,
+)
 
 from gdrl_torchrl import keys
 
@@ -102,3 +108,37 @@ def make_value_network(
     )
     in_keys = [keys.OBSERVATION, keys.TIME_LEFT] if sees_time else [keys.OBSERVATION]
     return ValueOperator(network, in_keys=in_keys)
+
+
+def make_argmax_actor(
+    observation_size: int,
+    action_spec: Categorical,
+    *,
+    num_cells: tuple[int, ...] = (64, 64),
+    activation: type[nn.Module] = nn.ReLU,
+) -> QValueActor:
+    """Make a policy that takes the action with the largest output.
+
+    Args:
+        observation_size: Length ``D`` of the observation.
+        action_spec: Spec of one world's action.
+        num_cells: Widths of the hidden layers.
+        activation: Activation of the hidden layers.
+
+    Returns:
+        An actor that reads ``observation`` ``[B, D]`` and writes ``action`` and
+        ``action_value`` ``[B, A]``.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> actor = make_argmax_actor(3, Categorical(5))
+        >>> actor(TensorDict(observation=torch.zeros(7, 3), batch_size=[7]))["action"].shape
+        torch.Size([7])
+    """
+    network = MLP(
+        in_features=observation_size,
+        out_features=action_spec.n,
+        num_cells=list(num_cells),
+        activation_class=activation,
+    )
+    return QValueActor(network, in_keys=[keys.OBSERVATION], spec=action_spec)

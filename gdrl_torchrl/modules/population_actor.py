@@ -56,7 +56,7 @@ class PopulationActor:
         self.actor = actor
         self.trace = trace
         self.action_key = action_key
-        self._prefix, self._heads = _split(actor)
+        self._prefix, self._heads = split_actor(actor)
         self.in_keys = list(self._prefix.in_keys)
         self._names = {name for name, _ in self._prefix.named_parameters()}
         if not self._names:
@@ -254,7 +254,7 @@ def _dotted(key: Any) -> str:
     return key if isinstance(key, str) else ".".join(key)
 
 
-def _split(
+def split_actor(
     actor: TensorDictModuleBase,
 ) -> tuple[TensorDictModuleBase, list[TensorDictModuleBase]]:
     """The shortest beginning of an actor that owns all its parameters, and the rest."""

@@ -6,7 +6,7 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from gdrl_torchrl.config.schema import PPOConfig
+from gdrl_torchrl.config.algorithms import PPOConfig
 
 
 def make_ppo_loss(

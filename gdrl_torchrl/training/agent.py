@@ -11,12 +11,15 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 from torchrl.objectives.common import LossModule
-from torchrl.trainers import Trainer
 
 from gdrl_tasks import NavigationTask
+from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.envs.make import make_env
 
+MakeActor = Callable[[NavigationTask, ExperimentConfig], TensorDictModuleBase]
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 NO_FRAME_LIMIT = 1 << 62
 """Budgets end training, not the trainer's own limit."""
@@ -34,16 +37,41 @@ class HasState(Protocol):
         ...
 
 
+class TrainsInSteps(Protocol):
+    """What a run asks of a trainer; TorchRL's are such."""
+
+    collected_frames: int
+    """Environment steps of the agent."""
+
+    def register_op(self, dest: Any, op: Callable, **kwargs: Any) -> None:
+        """Call ``op`` at a stage of every step."""
+        ...
+
+    def register_module(self, module_name: str, module: Any) -> None:
+        """Note a part by name."""
+        ...
+
+    def request_stop(self) -> None:
+        """End training after this step."""
+        ...
+
+    def train(self) -> None:
+        """Train until asked to stop."""
+        ...
+
+
 @dataclasses.dataclass
 class Agent:
     """A policy and everything that trains it."""
 
     actor: TensorDictModuleBase
-    loss: LossModule
-    optimizer: torch.optim.Optimizer
-    collector: Collector
-    trainer: Trainer
-    parts: Mapping[str, HasState]
+    trainer: TrainsInSteps
+    env: EnvBase | None = None
+    """What the collector steps, if there is one."""
+    loss: LossModule | None = None
+    optimizer: torch.optim.Optimizer | None = None
+    collector: Collector | None = None
+    parts: Mapping[str, HasState] = dataclasses.field(default_factory=dict)
     """Further state of the algorithm, by name."""
     critic: nn.Module | None = None
     """What ``evolution.critic_on_switch`` is about."""
@@ -53,12 +81,28 @@ class Agent:
     """Takes a share of whole episodes of other policies, ``[T]``, into the buffer."""
 
 
-def check_actions(task: NavigationTask, config: ExperimentConfig) -> None:
-    """Raise ValueError unless the task has the kind of actions the algorithm needs."""
-    needs_discrete = config.algorithm.name == "rainbow"
-    if task.spec.is_discrete != needs_discrete:
-        kind = "discrete" if needs_discrete else "continuous"
+def make_training_env(config: ExperimentConfig, task: NavigationTask) -> EnvBase:
+    """The environment that an agent's collector steps."""
+    return make_env(
+        task,
+        config.algorithm.num_worlds,
+        backend=config.task.backend,
+        num_threads=config.simulation.num_threads,
+        seed=config.seed,
+    )
+
+
+def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
+    """Raise ValueError unless task, algorithm and evolution go together."""
+    if isinstance(config.algorithm, GAConfig) and config.evolution.enabled:
         raise ValueError(
-            f"task.actions={config.task.actions!r}: algorithm.name="
-            f"{config.algorithm.name!r} needs task.actions={kind}"
+            f"evolution.name={config.evolution.name!r}: algorithm.name='ga' is a "
+            "population already, it needs evolution=none"
+        )
+    needed = config.algorithm.actions
+    given = "discrete" if task.spec.is_discrete else "continuous"
+    if needed not in ("any", given):
+        raise ValueError(
+            f"task.actions={given!r}: algorithm.name={config.algorithm.name!r} needs "
+            f"task.actions={needed}"
         )

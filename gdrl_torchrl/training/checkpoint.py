@@ -36,10 +36,11 @@ class TrainingState:
     def state_dict(self) -> dict[str, Any]:
         """State as nested dicts of tensors and plain values."""
         training, agent = self.training, self.training.agent
-        env = training.env
+        env = agent.env
         return {
-            "loss": dict(agent.loss.state_dict()),
-            "optimizer": agent.optimizer.state_dict(),
+            "actor": dict(agent.actor.state_dict()),
+            "loss": None if agent.loss is None else dict(agent.loss.state_dict()),
+            "optimizer": agent.optimizer and agent.optimizer.state_dict(),
             "genetic": training.genetic.state_dict(),
             "env": env.get_state() if isinstance(env, NavigationEnv) else None,
             "parts": {name: dict(p.state_dict()) for name, p in agent.parts.items()},
@@ -51,18 +52,22 @@ class TrainingState:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         training, agent = self.training, self.training.agent
-        agent.loss.load_state_dict(state_dict["loss"])
-        agent.optimizer.load_state_dict(state_dict["optimizer"])
+        agent.actor.load_state_dict(state_dict["actor"])
+        if agent.loss is not None:
+            agent.loss.load_state_dict(state_dict["loss"])
+        if agent.optimizer is not None:
+            agent.optimizer.load_state_dict(state_dict["optimizer"])
         training.genetic.load_state_dict(state_dict["genetic"])
         for name, part in agent.parts.items():
             part.load_state_dict(state_dict["parts"][name])
         self.counters.load_state_dict(state_dict["counters"])
         agent.trainer.collected_frames = state_dict["collected_frames"]
         if state_dict["env"] is not None:
-            assert isinstance(training.env, NavigationEnv)
-            training.env.set_state(state_dict["env"])
-        # The environment goes on from its state; the collector reads where that is.
-        agent.collector.reset()
+            assert isinstance(agent.env, NavigationEnv)
+            agent.env.set_state(state_dict["env"])
+        if agent.collector is not None:
+            # The environment goes on from its state; the collector reads where that is.
+            agent.collector.reset()
         # Last: whatever came before must not have drawn from it.
         torch.set_rng_state(state_dict["generator"].to(torch.uint8))
 
@@ -83,7 +88,7 @@ class Checkpoints:
         self._rotation = CheckpointRotation(folder, keep_last=keep)
 
     def save(self, step: int) -> Path:
-        """Save the state under a number of agent steps."""
+        """Save the state under a number of steps."""
         return self._rotation.save(self._checkpoint, step=step)
 
     def load_latest(self) -> bool:

@@ -2,45 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.trainers import Trainer
-from torchrl.trainers.trainers import TrainerHookBase
 
 from gdrl_torchrl import keys
+from gdrl_torchrl.evolution.crossover import mean_crossover, no_crossover
 from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
 from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
-from gdrl_torchrl.evolution.selection import select_best
+from gdrl_torchrl.evolution.schedule import MutationSchedule
+from gdrl_torchrl.evolution.sensitivity import dampen
+from gdrl_torchrl.training.contest import PARENT, Contest, FullContest
+from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 Mutation = Callable[..., TensorDictBase]
-PARENT = 0
+Sensitivity = Callable[[TensorDictBase, torch.Tensor], TensorDictBase]
 
 
-@dataclasses.dataclass(frozen=True)
-class GeneticEvaluation:
-    """What one genetic evaluation found; the parent's copy is member 0."""
-
-    number: int
-    mut_p: float
-    scores: TensorDictBase
-    """Result of the evaluator, ``[1 + N]``."""
-    winner: int
-    population_steps: int
-
-    @property
-    def switched(self) -> bool:
-        """Whether a child replaced the agent."""
-        return self.winner != PARENT
-
-
-class GeneticHook(TrainerHookBase):
+class GeneticHook(PopulationHook):
     """Every ``period_episodes`` episodes, let mutated children compete with the agent.
 
     At the first batch boundary after enough training episodes have ended, N children
@@ -57,23 +40,37 @@ class GeneticHook(TrainerHookBase):
         mutation: ``(genomes [N], mut_p=, std=, generator=) -> genomes [N]``.
         std: Standard deviation of the mutation, in weight units.
         schedule: Mutation probability by success rate.
-        window_episodes: Training episodes that the success rate is over.
-        tie_rule: Who wins among equals, see
+        crossover: ``(genomes [N], num_points=, generator=) -> genomes [N]``, of the
+            mutated children.
+        num_points: Cuts of the crossover.
+        sensitivity: ``(genome, observations [B, D]) -> genome``: by how much the outputs
+            depend on each weight; mutations are divided by it. None leaves them.
+        sensitivity_rows: Observations of the last training batch that it is taken over.
+        contest: Scores the population and names the winner; by default all members meet
+            over the same episodes.
+        tie_rule: Who wins among equals in that default contest, see
             :func:`~gdrl_torchrl.evolution.selection.select_best`.
+        own_share: Share of its own weights that the agent keeps on a switch: 0 replaces
+            it, as in the seed; 0.3 is the soft update of Supe-RL (ICLR 2021).
+        window_episodes: Training episodes that the success rate is over.
         optimizer: Optimiser whose moments of the actor ``optimizer_on_switch`` is about.
         optimizer_on_switch: ``keep`` or ``reset`` those moments on a switch.
         critic: Critic that ``critic_on_switch`` is about.
         critic_on_switch: ``keep`` the parent's critic or ``reset`` its layers.
-        on_switch: Called after the agent was replaced, as to move a target network.
-        share_experience: Called on a switch with the transitions ``[T]`` of the
-            evaluation (whole episodes, one after another); without it they are not kept.
+        on_switch: Called on a switch, as to move a target network, while the actor has
+            the winner's own weights.
+        share_experience: Called with the transitions ``[T]`` of the evaluation (whole
+            episodes, one after another); without it they are not kept.
+        share_always: Whether experience is shared after every evaluation, and not on a
+            switch only.
         seed: Seed of the mutations.
         success_key: Flag of success in the training batches.
-        on_evaluation: Called with each :class:`GeneticEvaluation`.
+        on_evaluation: Called with each
+            :class:`~gdrl_torchrl.training.population_hook.GeneticEvaluation`.
 
     Raises:
-        ValueError: If ``num_children`` or ``period_episodes`` < 1, or something is to
-            be reset that was not given.
+        ValueError: If ``num_children`` or ``period_episodes`` < 1, ``own_share`` is
+            outside [0, 1), or something is to be reset that was not given.
     """
 
     def __init__(
@@ -86,24 +83,38 @@ class GeneticHook(TrainerHookBase):
         mutation: Mutation = bernoulli_mutation,
         std: float = 0.1,
         schedule: MutationSchedule | None = None,
-        window_episodes: int = 100,
+        crossover: Mutation = no_crossover,
+        num_points: int = 2,
+        sensitivity: Sensitivity | None = None,
+        sensitivity_rows: int = 256,
+        contest: Contest | None = None,
         tie_rule: str = "return_then_parent",
+        own_share: float = 0.0,
+        window_episodes: int = 100,
         optimizer: torch.optim.Optimizer | None = None,
         optimizer_on_switch: str = "keep",
         critic: torch.nn.Module | None = None,
         critic_on_switch: str = "keep",
         on_switch: Sequence[Callable[[], object]] = (),
         share_experience: Callable[[TensorDictBase], object] | None = None,
+        share_always: bool = False,
         seed: int = 0,
         success_key: str = keys.SUCCESS,
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
     ) -> None:
-        for name, value in (
-            ("num_children", num_children),
-            ("period_episodes", period_episodes),
-        ):
-            if value is not None and value < 1:
-                raise ValueError(f"{name}={value} must be >= 1")
+        super().__init__(
+            actor,
+            evaluator,
+            period_episodes=period_episodes,
+            window_episodes=window_episodes,
+            seed=seed,
+            success_key=success_key,
+            on_evaluation=on_evaluation,
+        )
+        if num_children < 1:
+            raise ValueError(f"num_children={num_children} must be >= 1")
+        if not 0.0 <= own_share < 1.0:
+            raise ValueError(f"own_share={own_share} must be in [0, 1)")
         for name, value in (
             ("optimizer_on_switch", optimizer_on_switch),
             ("critic_on_switch", critic_on_switch),
@@ -114,123 +125,76 @@ class GeneticHook(TrainerHookBase):
             raise ValueError("optimizer_on_switch='reset' needs an optimizer")
         if critic_on_switch == "reset" and critic is None:
             raise ValueError("critic_on_switch='reset' needs a critic")
-        self.actor = actor
-        self.evaluator = evaluator
         self.num_children = num_children
-        self.period_episodes = period_episodes
         self.mutation = mutation
         self.std = std
         self.schedule = schedule or MutationSchedule()
-        self.window = SuccessWindow(window_episodes)
-        self.tie_rule = tie_rule
+        self.crossover = crossover
+        self.num_points = num_points
+        self.sensitivity = sensitivity
+        self.sensitivity_rows = sensitivity_rows
+        self.contest = FullContest(tie_rule) if contest is None else contest
+        self.own_share = own_share
         self.optimizer = optimizer
         self.optimizer_on_switch = optimizer_on_switch
         self.critic = critic
         self.critic_on_switch = critic_on_switch
         self.on_switch = list(on_switch)
         self.share_experience = share_experience
-        self.success_key = success_key
-        self.on_evaluation = list(on_evaluation)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.num_evaluations = 0
-        self.num_switches = 0
-        self.population_steps = 0
-        self.episodes_completed = 0
-        self._episodes_at_evaluation = 0
-        self._last_episode = -1
-        self._trainer: Trainer | None = None
-
-    def register(self, trainer: Trainer, name: str = "genetic_hook") -> None:
-        """Register with a trainer: batches are observed, evaluations follow updates."""
-        self._trainer = trainer
-        trainer.register_module(name, self)
-        trainer.register_op("batch_process", self.observe)
-        trainer.register_op("post_steps", self)
+        self.share_always = share_always
+        self._observations: torch.Tensor | None = None
 
     def observe(self, batch: TensorDictBase) -> TensorDictBase:
-        """Count a batch's ended episodes and note their success, in starting order.
-
-        Args:
-            batch: Collected transitions ``[T]`` or ``[W, T]`` with ``episode_number``
-                of the environment or, without it, the collector's trajectory ids.
-
-        Returns:
-            The batch itself.
-        """
-        done = batch["next", keys.DONE].reshape(-1)
-        episode = batch.get(keys.EPISODE_NUMBER, None)
-        if episode is None:
-            episode = batch["collector", "traj_ids"]
-        episode = episode.reshape(-1)
-        self._note_starts(episode.unique().tolist())
-        ended = episode[done]
-        success = batch.get(("next", self.success_key), None)
-        if success is None:
-            flags = torch.zeros(len(ended), dtype=torch.bool)
-        else:
-            flags = success.reshape(-1)[done]
-        for number, flag in zip(ended.tolist(), flags.tolist(), strict=True):
-            self.window.finish(number, flag)
-        self.episodes_completed += len(ended)
-        return batch
-
-    def _note_starts(self, episodes: list[int]) -> None:
-        known = (n for n in episodes if n <= self._last_episode)
-        if not all(self.window.is_open(number) for number in known):
-            # An episode that had ended is back: numbers begin anew, as after a restart
-            # with new episodes, and those that were running are gone.
-            self.window.forget_running()
-            self._last_episode = -1
-        begun = [number for number in episodes if number > self._last_episode]
-        self.window.begin(begun)
-        if begun:
-            self._last_episode = begun[-1]
-
-    def __call__(self) -> None:
-        """Evaluate if enough episodes have ended since the last evaluation."""
-        if self.period_episodes is None:
-            return
-        since = self.episodes_completed - self._episodes_at_evaluation
-        if since >= self.period_episodes:
-            self._episodes_at_evaluation = self.episodes_completed
-            self.evaluate()
+        """As :meth:`PopulationHook.observe`, and keep what sensitivity is taken over."""
+        if self.sensitivity is not None:
+            seen = batch[keys.OBSERVATION]
+            rows = seen.reshape(-1, seen.shape[-1])
+            # Evenly spread over worlds and steps: no random choice is needed.
+            stride = max(1, len(rows) // self.sensitivity_rows)
+            self._observations = rows[::stride][: self.sensitivity_rows].clone()
+        return super().observe(batch)
 
     def evaluate(self) -> GeneticEvaluation:
         """Make children, score them with the agent's copy, install the winner."""
         genome = genome_of(self.actor)
         mut_p = self.schedule(self.window.rate)
-        children = self.mutation(
-            stack_copies(genome, self.num_children),
-            mut_p=mut_p,
-            std=self.std,
+        population = concatenate([stack_copies(genome, 1), self._children(genome, mut_p)])
+        verdict = self.contest(
+            self.evaluator,
+            population,
             generator=self.generator,
+            keep_transitions=self.share_experience is not None,
         )
-        population = concatenate([stack_copies(genome, 1), children])
-        transitions = None
-        if self.share_experience is None:
-            scores = self.evaluator.evaluate(population)
-        else:
-            scores, transitions = self.evaluator.evaluate_with_transitions(population)
-        winner = select_best(scores, parent=PARENT, tie_rule=self.tie_rule)
         evaluation = GeneticEvaluation(
             number=self.num_evaluations,
             mut_p=mut_p,
-            scores=scores,
-            winner=winner,
-            population_steps=int(scores[keys.FRAMES].sum()),
+            scores=verdict.scores,
+            winner=verdict.winner,
+            agent=PARENT,
+            switched=verdict.winner != PARENT,
+            population_steps=int(verdict.scores[keys.FRAMES].sum()),
         )
-        self.num_evaluations += 1
-        self.population_steps += evaluation.population_steps
         if evaluation.switched:
-            self.num_switches += 1
-            self._hand_over(population[winner])
-            if self.share_experience is not None:
-                self.share_experience(transitions)
-        for callback in self.on_evaluation:
-            callback(evaluation)
-        return evaluation
+            self._hand_over(genome, population[verdict.winner])
+        if self.share_experience is not None and (evaluation.switched or self.share_always):
+            self.share_experience(verdict.transitions)  # pyright: ignore[reportArgumentType]
+        return self._note(evaluation)
 
-    def _hand_over(self, genome: TensorDictBase) -> None:
+    def _children(self, genome: TensorDictBase, mut_p: float) -> TensorDictBase:
+        copies = stack_copies(genome, self.num_children)
+        children = self.mutation(
+            copies, mut_p=mut_p, std=self.std, generator=self.generator
+        )
+        if self.sensitivity is not None:
+            if self._observations is None:
+                raise RuntimeError("sensitivity needs a training batch: none was observed")
+            of_weights = self.sensitivity(genome, self._observations)
+            children = dampen(copies, children, of_weights)
+        return self.crossover(
+            children, num_points=self.num_points, generator=self.generator
+        )
+
+    def _hand_over(self, own: TensorDictBase, genome: TensorDictBase) -> None:
         install(self.actor, genome)
         if self.optimizer_on_switch == "reset":
             assert self.optimizer is not None
@@ -244,33 +208,20 @@ class GeneticHook(TrainerHookBase):
                     reset()
         for follow in self.on_switch:
             follow()
+        if self.own_share > 0.0:
+            install(self.actor, mean_crossover(own, genome, share=self.own_share))
         if self._trainer is not None:
             # Collectors in other processes hold copies of the weights.
-            collector: Any = self._trainer.collector
-            collector.update_policy_weights_()
+            self._trainer.collector.update_policy_weights_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Window, counters and generators."""
-        return {
-            "window": self.window.state_dict(),
-            "generator": self.generator.get_state(),
-            "fitness_episodes": self.evaluator.num_evaluations,
-            "num_evaluations": self.num_evaluations,
-            "num_switches": self.num_switches,
-            "population_steps": self.population_steps,
-            "episodes_completed": self.episodes_completed,
-            "episodes_at_evaluation": self._episodes_at_evaluation,
-            "last_episode": self._last_episode,
-        }
+        """Window, counters, generators and the observations kept."""
+        state = super().state_dict()
+        if self._observations is not None:
+            state["observations"] = self._observations
+        return state
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
-        self.window.load_state_dict(state_dict["window"])
-        self.generator.set_state(state_dict["generator"])
-        self.evaluator.num_evaluations = state_dict["fitness_episodes"]
-        self.num_evaluations = state_dict["num_evaluations"]
-        self.num_switches = state_dict["num_switches"]
-        self.population_steps = state_dict["population_steps"]
-        self.episodes_completed = state_dict["episodes_completed"]
-        self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
-        self._last_episode = state_dict["last_episode"]
+        super().load_state_dict(state_dict)
+        self._observations = state_dict.get("observations")

@@ -10,15 +10,16 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.record.loggers import Logger
-from torchrl.trainers import Trainer
 from torchrl.trainers.trainers import TrainerHookBase
 from tqdm import tqdm
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.schema import BudgetConfig
-from gdrl_torchrl.training.genetic import PARENT, GeneticEvaluation, GeneticHook
+from gdrl_torchrl.training.agent import TrainsInSteps
+from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.training.run_directory import MetricsTable
 
 COLUMNS = (
@@ -47,10 +48,10 @@ class RunMonitor(TrainerHookBase):
     """Counts every cost, writes metrics, shows progress, saves and ends training.
 
     Args:
-        genetic: The genetic hook, for its window and counters.
+        genetic: The hook with the population, for its window and counters.
         budget: When to end.
         table: Gets one row per batch.
-        save: Called with the agent's steps to save a checkpoint.
+        save: Called with all steps so far to save a checkpoint.
         save_interval_s: Seconds between checkpoints.
         logger: Also gets every number.
 
@@ -60,7 +61,7 @@ class RunMonitor(TrainerHookBase):
 
     def __init__(
         self,
-        genetic: GeneticHook,
+        genetic: PopulationHook,
         budget: BudgetConfig,
         table: MetricsTable,
         *,
@@ -81,12 +82,12 @@ class RunMonitor(TrainerHookBase):
         self._said = self._started
         self._evaluation: GeneticEvaluation | None = None
         self._batch_stats: dict[str, float] = {}
-        self._trainer: Trainer | None = None
+        self._trainer: TrainsInSteps | None = None
         self._bar: tqdm | None = None
         self._previous_handlers: dict[signal.Signals, Any] = {}
         genetic.on_evaluation.append(self._note_evaluation)
 
-    def register(self, trainer: Trainer, name: str = "run_monitor") -> None:
+    def register(self, trainer: TrainsInSteps, name: str = "run_monitor") -> None:
         """Register with a trainer, after every hook whose work is to be reported."""
         self._trainer = trainer
         trainer.register_op("pre_steps_log", self._note_batch)
@@ -121,6 +122,11 @@ class RunMonitor(TrainerHookBase):
         return int(self._trainer.collected_frames) if self._trainer else 0
 
     @property
+    def total_steps(self) -> int:
+        """Environment steps of agent and populations."""
+        return self.agent_steps + self.genetic.population_steps
+
+    @property
     def wall_s(self) -> float:
         """Seconds of training, earlier starts of the run included."""
         return self.wall_s_before + time.monotonic() - self._started
@@ -131,7 +137,7 @@ class RunMonitor(TrainerHookBase):
         return {
             "agent_steps": self.agent_steps,
             "population_steps": population,
-            "total_steps": self.agent_steps + population,
+            "total_steps": self.total_steps,
             "wall_s": round(self.wall_s, 3),
             "evaluations": self.genetic.num_evaluations,
             "switches": self.genetic.num_switches,
@@ -143,8 +149,8 @@ class RunMonitor(TrainerHookBase):
         self.table.append(row)
         if self.logger is not None:
             for name, value in row.items():
-                if value is not None and name != "agent_steps":
-                    self.logger.log_scalar(f"train/{name}", value, step=self.agent_steps)
+                if value is not None and name != "total_steps":
+                    self.logger.log_scalar(f"train/{name}", value, step=self.total_steps)
         self._show(row)
         spent = is_spent(self.budget, row)
         if spent or self.interrupted_by is not None:
@@ -152,7 +158,7 @@ class RunMonitor(TrainerHookBase):
             self._trainer.request_stop()
         now = time.monotonic()
         if spent or self.interrupted_by or now - self._saved >= self.save_interval_s:
-            self.save(self.agent_steps)
+            self.save(self.total_steps)
             self._saved = time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
@@ -177,7 +183,7 @@ class RunMonitor(TrainerHookBase):
             row |= {
                 "mut_p": self._evaluation.mut_p,
                 "fitness_best": float(fitness[self._evaluation.winner]),
-                "fitness_parent": float(fitness[PARENT]),
+                "fitness_parent": _of_agent(self._evaluation, fitness),
                 "fitness_mean": float(fitness.nanmean()),
                 "winner": self._evaluation.winner,
                 "switched": int(self._evaluation.switched),
@@ -197,7 +203,7 @@ class RunMonitor(TrainerHookBase):
 
     def _progress(self) -> int:
         if self.budget.agent_steps is None and self.budget.total_steps is not None:
-            return self.agent_steps + self.genetic.population_steps
+            return self.total_steps
         return self.agent_steps
 
     def _show(self, row: dict[str, Any]) -> None:
@@ -228,6 +234,10 @@ class RunMonitor(TrainerHookBase):
         _logger.warning(
             "%s: finishing this iteration, then saving", self.interrupted_by.name
         )
+
+
+def _of_agent(evaluation: GeneticEvaluation, fitness: torch.Tensor) -> float | None:
+    return None if evaluation.agent is None else float(fitness[evaluation.agent])
 
 
 def is_spent(budget: BudgetConfig, counters: dict[str, Any]) -> bool:

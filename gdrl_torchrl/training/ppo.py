@@ -12,7 +12,6 @@ from torchrl.data import (
     SamplerWithoutReplacement,
     TensorDictReplayBuffer,
 )
-from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 from torchrl.trainers.algorithms import PPOTrainer
 
@@ -20,7 +19,13 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.objectives.ppo import make_ppo_loss
-from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent, check_actions
+from gdrl_torchrl.training.agent import (
+    ACTIVATIONS,
+    NO_FRAME_LIMIT,
+    Agent,
+    check_fit,
+    make_training_env,
+)
 
 
 def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
@@ -29,7 +34,7 @@ def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> Probabilis
     Raises:
         ValueError: If the task's actions are discrete.
     """
-    check_actions(task, config)
+    check_fit(task, config)
     size = task.spec.action_size
     return make_tanh_normal_actor(
         task.spec.observation_size,
@@ -40,9 +45,10 @@ def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> Probabilis
     )
 
 
-def make_ppo_agent(config: ExperimentConfig, task: NavigationTask, env: EnvBase) -> Agent:
-    """Build the agent and its trainer around an environment."""
+def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
+    """Build the agent, its environment and its trainer."""
     algorithm, network = config.algorithm, config.network
+    env = make_training_env(config, task)
     actor = make_ppo_actor(task, config)
     critic = make_value_network(
         task.spec.observation_size,
@@ -87,4 +93,13 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask, env: EnvBase)
         )
     # The order of the next epoch is drawn when the one before it ends.
     parts = {"sampler": buffer.sampler}
-    return Agent(actor, loss, optimizer, collector, trainer, parts, critic=critic)
+    return Agent(
+        actor,
+        trainer,
+        env=env,
+        loss=loss,
+        optimizer=optimizer,
+        collector=collector,
+        parts=parts,
+        critic=critic,
+    )

@@ -12,14 +12,14 @@ from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import Categorical, TensorDictReplayBuffer
-from torchrl.envs import EnvBase
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
 from torchrl.trainers import Trainer
 from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl import keys
-from gdrl_torchrl.config.schema import ExperimentConfig, RainbowConfig
+from gdrl_torchrl.config.algorithms import RainbowConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.data.n_step import NStep
 from gdrl_torchrl.data.replay import (
     buffer_state,
@@ -33,7 +33,13 @@ from gdrl_torchrl.objectives.rainbow import (
     resample_noise,
     soft_update_target,
 )
-from gdrl_torchrl.training.agent import ACTIVATIONS, NO_FRAME_LIMIT, Agent, check_actions
+from gdrl_torchrl.training.agent import (
+    ACTIVATIONS,
+    NO_FRAME_LIMIT,
+    Agent,
+    check_fit,
+    make_training_env,
+)
 
 
 def make_rainbow_actor(
@@ -44,7 +50,7 @@ def make_rainbow_actor(
     Raises:
         ValueError: If the task's actions are continuous.
     """
-    check_actions(task, config)
+    check_fit(task, config)
     algorithm: RainbowConfig = config.algorithm
     return make_q_actor(
         task.spec.observation_size,
@@ -167,11 +173,10 @@ class RainbowLearner(OptimizationStepper):
         self._anneal()
 
 
-def make_rainbow_agent(
-    config: ExperimentConfig, task: NavigationTask, env: EnvBase
-) -> Agent:
-    """Build the agent and its trainer around an environment."""
+def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
+    """Build the agent, its environment and its trainer."""
     algorithm: RainbowConfig = config.algorithm
+    env = make_training_env(config, task)
     actor = make_rainbow_actor(task, config)
     loss = RainbowLoss(actor, gamma=algorithm.gamma)
     optimizer = torch.optim.Adam(
@@ -220,10 +225,11 @@ def make_rainbow_agent(
         )
     return Agent(
         actor,
-        loss,
-        optimizer,
-        collector,
         trainer,
+        env=env,
+        loss=loss,
+        optimizer=optimizer,
+        collector=collector,
         parts={"learner": learner},
         follow_switch=functools.partial(soft_update_target, loss),
         share_experience=learner.share,

@@ -13,6 +13,7 @@ from torchrl.record.loggers import Logger
 
 from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.evolution.genome import install
 from gdrl_torchrl.training.build import Training, build_training, make_task_of
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
@@ -75,13 +76,14 @@ def run_experiment(config: ExperimentConfig) -> Path:
             return directory.path
         directory.open(config)
         directory.done.unlink(missing_ok=True)
-        seed_everything(config.seed)
-        training = build_training(config)
+        directory.failed.unlink(missing_ok=True)
         try:
-            costs = _train(directory, config, training)
-            _report(directory, config, training, costs)
-        finally:
-            training.close()
+            costs = _run(directory, config)
+        except InterruptedRunError:
+            raise
+        except Exception as error:
+            directory.write_json("FAILED", {"error": f"{type(error).__name__}: {error}"})
+            raise
         directory.write_json(
             "DONE",
             {
@@ -91,6 +93,17 @@ def run_experiment(config: ExperimentConfig) -> Path:
             },
         )
     return directory.path
+
+
+def _run(directory: RunDirectory, config: ExperimentConfig) -> dict[str, Any]:
+    seed_everything(config.seed)
+    training = build_training(config)
+    try:
+        costs = _train(directory, config, training)
+        _report(directory, config, training, costs)
+    finally:
+        training.close()
+    return costs
 
 
 def _is_complete(directory: RunDirectory, config: ExperimentConfig) -> bool:
@@ -121,8 +134,8 @@ def _train(
         state = TrainingState(training, monitor)
         checkpoints = Checkpoints(directory.checkpoints, state, keep=config.checkpoint.keep)
         if checkpoints.load_latest():
-            _logger.info("going on at %d agent steps", monitor.agent_steps)
-        table.cut_after(monitor.agent_steps)
+            _logger.info("going on at %d steps", monitor.total_steps)
+        table.cut_after(monitor.total_steps)
         if not is_spent(config.budget, monitor.counters()):
             monitor.start()
             stack.callback(monitor.stop)
@@ -154,6 +167,9 @@ def _report(
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
     task, actor = training.task, training.agent.actor
+    result = training.genetic.final_genome()
+    if result is not None:
+        install(actor, result)
     threads = config.simulation.num_threads
     scores = evaluate_policy(
         task,

@@ -26,6 +26,7 @@ _NOT_IN_KEY = (
     "seed",
     "runs_dir",
     "force",
+    "toy",
     "budget",
     "evaluation",
     "checkpoint",
@@ -65,6 +66,11 @@ class RunDirectory:
     def done(self) -> Path:
         """Present once a run is complete; says with which budgets and code."""
         return self.path / "DONE"
+
+    @property
+    def failed(self) -> Path:
+        """Present if the last start ended in an error; says which."""
+        return self.path / "FAILED"
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write a file atomically."""
@@ -216,7 +222,7 @@ class MetricsTable:
         with open(self.path, "a", newline="") as file:
             csv.writer(file).writerow(["" if cell is None else cell for cell in cells])
 
-    def cut_after(self, agent_steps: int) -> None:
+    def cut_after(self, total_steps: int) -> None:
         """Drop the rows after a step: what a resumed run will write again.
 
         Raises:
@@ -226,7 +232,7 @@ class MetricsTable:
         text, end, _ = self.path.read_text().rpartition("\n")
         rows = csv.DictReader(io.StringIO(text + end))
         try:
-            kept = [row for row in rows if int(row["agent_steps"]) <= agent_steps]
+            kept = [row for row in rows if int(row["total_steps"]) <= total_steps]
         except (KeyError, TypeError, ValueError) as error:
             raise RunDirectoryError(f"{self.path} is damaged: {error!r}") from error
         temporary = self.path.with_name(f".{self.path.name}.partial")

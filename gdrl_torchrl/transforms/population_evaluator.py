@@ -117,6 +117,7 @@ class PopulationEvaluator(Transform):
         self.fitness = fitness
         self.seed = seed
         self.num_evaluations = 0
+        self.episodes_drawn = 0
         self.episode_seeding = episode_seeding
         self.exploration_type = exploration_type
         self.params_key = params_key
@@ -214,16 +215,19 @@ class PopulationEvaluator(Transform):
         scores, transitions = self._evaluate(params, seeds, keep_transitions=True)
         return scores, transitions
 
+    def fresh_seeds(self, count: int) -> torch.Tensor:
+        """Seeds of the next fitness episodes, int64 ``[count]``; none comes twice."""
+        start = self.episodes_drawn
+        self.episodes_drawn += count
+        return torch.from_numpy(episode_seeds(Stream.FITNESS, self.seed, start, count))
+
     def _evaluate(
         self, params: TensorDictBase, seeds: torch.Tensor | None, *, keep_transitions: bool
     ) -> tuple[TensorDictBase, TensorDictBase]:
         env, count = self.env, params.batch_size[0]
         if seeds is None:
-            start = self.num_evaluations * self.num_episodes
-            seeds = torch.from_numpy(
-                episode_seeds(Stream.FITNESS, self.seed, start, self.num_episodes)
-            )
-            self.num_evaluations += 1
+            seeds = self.fresh_seeds(self.num_episodes)
+        self.num_evaluations += 1
         seeds = torch.as_tensor(seeds, dtype=torch.int64)
         if seeds.ndim != 1 or len(seeds) == 0:
             raise ValueError(f"seeds of shape {tuple(seeds.shape)} must be [S], S >= 1")

@@ -12,6 +12,8 @@ from hydra.errors import HydraException
 from gdrl_tasks import make_task, task_names
 from gdrl_torchrl.cli.compose import load_experiment, merge_task
 from gdrl_torchrl.config import schema
+from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.config.evolution import EvolutionConfig
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
 from gdrl_torchrl.evolution.schedule import MutationSchedule
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
@@ -99,16 +101,19 @@ def test_there_is_something_to_test():
 @pytest.mark.parametrize(
     ("experiment", "choice"),
     [
-        (experiment, f"{group}={option}")
-        for experiment in EXPERIMENTS
-        for group in GROUPS
-        for option in options_of(group)
+        *((experiment, "seed=0") for experiment in EXPERIMENTS),
+        *(
+            (base, f"{group}={option}")
+            for base in BASES
+            for group in GROUPS
+            for option in options_of(group)
+        ),
     ],
 )
 def test_every_shipped_file_composes_to_a_typed_configuration(experiment, choice):
     config = load_experiment([f"experiment={experiment}", choice])
     assert isinstance(config, schema.ExperimentConfig)
-    assert isinstance(config.algorithm, schema.ALGORITHMS[config.algorithm.name])
+    assert isinstance(config.algorithm, ALGORITHMS[config.algorithm.name])
     assert isinstance(config.task, task_config_class(config.task.name))
     for part in PARTS[2:]:
         assert dataclasses.is_dataclass(getattr(config, part))
@@ -118,7 +123,8 @@ def test_every_shipped_file_composes_to_a_typed_configuration(experiment, choice
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_every_experiment_can_be_built(experiment):
     training = build_training(load_experiment([f"experiment={experiment}"]))
-    training.agent.trainer.collector.shutdown()
+    if training.agent.collector is not None:
+        training.agent.collector.shutdown()
     training.close()
 
 
@@ -139,11 +145,17 @@ def test_every_experiment_takes_the_common_overrides(experiment):
         "evaluation.episodes": 9,
         "task.step_limit": 77,
         "task.goal_tolerance_m": 0.25,
-        "algorithm.learning_rate": 0.01,
         "network.actor_cells": [4, 5, 6],
-        "evolution.rates": [0.5, 0.2],
-        "evolution.thresholds": [0.5],
     }
+    plain = load_experiment([f"experiment={experiment}"])
+    if plain.algorithm.name == "ga":
+        overrides["algorithm.mutation_std"] = 0.02
+    else:
+        overrides["algorithm.learning_rate"] = 0.01
+    if isinstance(plain.evolution, EvolutionConfig):
+        overrides |= {"evolution.rates": [0.5, 0.2], "evolution.thresholds": [0.5]}
+    else:
+        overrides["evolution.tournament_size"] = 2
     texts = [f"{name}={value}".replace("'", "") for name, value in overrides.items()]
     config = load_experiment([f"experiment={experiment}", *texts])
     for name, value in overrides.items():
@@ -188,7 +200,7 @@ def test_a_tasks_configuration_has_the_defaults_of_its_options(name):
     ("group", "default"),
     [
         ("network", schema.NetworkConfig()),
-        ("evolution", schema.EvolutionConfig()),
+        ("evolution", EvolutionConfig()),
         ("evaluation", schema.EvaluationConfig()),
         ("checkpoint", schema.CheckpointConfig()),
         ("logger", schema.LoggerConfig()),
@@ -199,9 +211,9 @@ def test_shipped_values_are_the_defaults_of_the_schema(group, default):
     assert getattr(load_experiment([]), group) == default
 
 
-@pytest.mark.parametrize("name", schema.ALGORITHMS)
+@pytest.mark.parametrize("name", ALGORITHMS)
 def test_an_algorithms_configuration_has_the_defaults_of_its_schema(name):
-    assert load_experiment([f"algorithm={name}"]).algorithm == schema.ALGORITHMS[name]()
+    assert load_experiment([f"algorithm={name}"]).algorithm == ALGORITHMS[name]()
 
 
 def defaults_of(function):
@@ -213,10 +225,10 @@ def defaults_of(function):
 
 
 def test_defaults_of_the_schema_are_those_of_the_parts():
-    evolution, network = schema.EvolutionConfig(), schema.NetworkConfig()
+    evolution, network = EvolutionConfig(), schema.NetworkConfig()
     hook = defaults_of(GeneticHook)
     shared = {field.name for field in dataclasses.fields(evolution)} & hook.keys()
-    shared -= {"mutation"}
+    shared -= {"mutation", "crossover", "contest", "sensitivity"}
     assert len(shared) >= 6
     for name in shared:
         assert getattr(evolution, name) == hook[name], name

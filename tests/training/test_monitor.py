@@ -58,9 +58,8 @@ class TestBudgets:
         assert episodes == sorted(episodes)
 
     def test_checkpoints_are_few(self, tiny):
-        path = run_experiment(
-            tiny("checkpoint.interval_s=0", "checkpoint.keep=2", "budget.agent_steps=240")
-        )
+        few = ("checkpoint.interval_s=0", "checkpoint.keep=2", "budget.agent_steps=240")
+        path = run_experiment(tiny(*few, "evolution=none"))
         names = sorted(entry.name for entry in (path / "checkpoints").iterdir())
         assert sum("200" in name for name in names) == 1, names
         assert sum("240" in name for name in names) == 1, names

@@ -166,7 +166,7 @@ class ScriptedEvaluator:
     def __init__(self, winner):
         self.winner = winner
 
-    def evaluate_with_transitions(self, population):
+    def evaluate_with_transitions(self, population, *, seeds=None):
         fitness = torch.zeros(len(population))
         fitness[self.winner] = 1.0
         scores = TensorDict(
@@ -197,7 +197,7 @@ class ScriptedEvaluator:
         )
         return scores, transitions
 
-    def evaluate(self, population):
+    def evaluate(self, population, *, seeds=None):
         return self.evaluate_with_transitions(population)[0]
 
     def close(self):

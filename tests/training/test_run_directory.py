@@ -24,6 +24,9 @@ OTHER_WORDS = {
     "actions": "discrete",
     "activation": "relu",
     "mutation": "scaled",
+    "crossover": "n_point",
+    "contest": "paired",
+    "share_on": "always",
     "mut_v_is": "variance",
     "fitness": "return",
     "tie_rule": "child",
@@ -158,7 +161,7 @@ def test_the_version_of_the_code_is_one_text():
 # Metrics
 
 
-COLUMNS = ("agent_steps", "success_rate", "wall_s")
+COLUMNS = ("total_steps", "success_rate", "wall_s")
 
 
 @pytest.fixture
@@ -171,26 +174,26 @@ def lines(table):
 
 
 def test_rows_have_blanks_where_nothing_is_known(table):
-    table.append({"agent_steps": 10, "wall_s": 1.5})
-    table.append({"agent_steps": 20, "success_rate": None, "wall_s": 2.5})
-    assert lines(table) == ["agent_steps,success_rate,wall_s", "10,,1.5", "20,,2.5"]
+    table.append({"total_steps": 10, "wall_s": 1.5})
+    table.append({"total_steps": 20, "success_rate": None, "wall_s": 2.5})
+    assert lines(table) == ["total_steps,success_rate,wall_s", "10,,1.5", "20,,2.5"]
 
 
 def test_a_table_goes_on_where_it_was(table):
-    table.append({"agent_steps": 10})
-    MetricsTable(table.path, COLUMNS).append({"agent_steps": 20})
+    table.append({"total_steps": 10})
+    MetricsTable(table.path, COLUMNS).append({"total_steps": 20})
     assert lines(table)[1:] == ["10,,", "20,,"]
 
 
 def test_a_metric_without_a_column_is_refused_by_name(table):
     with pytest.raises(ValueError, match="fuel"):
-        table.append({"agent_steps": 10, "fuel": 1.0})
+        table.append({"total_steps": 10, "fuel": 1.0})
     assert len(lines(table)) == 1
 
 
 def test_rows_after_a_step_are_dropped(table):
     for steps in (10, 20, 30):
-        table.append({"agent_steps": steps, "wall_s": steps / 10})
+        table.append({"total_steps": steps, "wall_s": steps / 10})
     table.cut_after(20)
     assert lines(table)[1:] == ["10,,1.0", "20,,2.0"]
 
@@ -199,10 +202,10 @@ def test_rows_after_a_step_are_dropped(table):
 def test_a_last_row_that_was_cut_short_is_dropped(kept, last, tmp_path_factory):
     path = tmp_path_factory.mktemp("table") / "metrics.csv"
     table = MetricsTable(path, COLUMNS)
-    table.append({"agent_steps": 50, "success_rate": 0.5, "wall_s": 1.0})
+    table.append({"total_steps": 50, "success_rate": 0.5, "wall_s": 1.0})
     whole = path.read_bytes()
     # The process dies while it writes the row of a step that was never saved.
-    table.append({"agent_steps": last, "success_rate": 0.25, "wall_s": 2.125})
+    table.append({"total_steps": last, "success_rate": 0.25, "wall_s": 2.125})
     row = path.read_bytes()[len(whole) :]
     path.write_bytes(whole + row[: kept * (len(row) - 2) // 100])
     MetricsTable(path, COLUMNS).cut_after(99)
@@ -210,7 +213,7 @@ def test_a_last_row_that_was_cut_short_is_dropped(kept, last, tmp_path_factory):
 
 
 def test_a_damaged_table_is_named(table):
-    table.path.write_text("agent_steps,wall_s\nten,1.0\n")
+    table.path.write_text("total_steps,wall_s\nten,1.0\n")
     with pytest.raises(RunDirectoryError, match=r"metrics\.csv is damaged"):
         table.cut_after(10)
 
@@ -219,5 +222,5 @@ def test_a_table_that_was_cut_in_its_header_begins_anew(table):
     table.path.write_bytes(table.path.read_bytes()[:7])
     again = MetricsTable(table.path, COLUMNS)
     again.cut_after(0)
-    again.append({"agent_steps": 10})
-    assert lines(table) == ["agent_steps,success_rate,wall_s", "10,,"]
+    again.append({"total_steps": 10})
+    assert lines(table) == ["total_steps,success_rate,wall_s", "10,,"]

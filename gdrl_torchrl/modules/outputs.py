@@ -1,0 +1,63 @@
+"""The outputs of a policy before an action is chosen, as a function of its weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import DistributionalQValueActor
+
+from gdrl_torchrl import keys
+from gdrl_torchrl.modules.population_actor import split_actor
+
+Outputs = Callable[[TensorDictBase, torch.Tensor], torch.Tensor]
+
+
+def outputs_of(actor: TensorDictModuleBase) -> Outputs:
+    """Make ``(genome, observation [D]) -> outputs [K]``, which is differentiable.
+
+    The outputs are what the greedy action depends on: the values of discrete actions
+    (of a distribution the means), the location of continuous ones or, if the actor
+    writes neither, the last entry that its parameters give.
+
+    Args:
+        actor: Any TorchRL actor without lazy layers.
+
+    Returns:
+        The function; the actor is not modified. Weights that a genome lacks are the
+        actor's own at that time.
+
+    Examples:
+        >>> from gdrl_torchrl.evolution.genome import genome_of
+        >>> from gdrl_torchrl.modules.actor import make_argmax_actor
+        >>> from torchrl.data import Categorical
+        >>> actor = make_argmax_actor(3, Categorical(5))
+        >>> outputs_of(actor)(genome_of(actor), torch.zeros(3)).shape
+        torch.Size([5])
+    """
+    prefix, _ = split_actor(actor)
+    written = next(
+        (key for key in ("loc", "action_value") if key in prefix.out_keys),
+        prefix.out_keys[-1],
+    )
+    has_atoms = isinstance(actor, DistributionalQValueActor)
+
+    def outputs(genome: TensorDictBase, observation: torch.Tensor) -> torch.Tensor:
+        own: Any = TensorDict.from_module(prefix)
+        weights = own.data.copy().unlock_().update(genome)
+        rows = TensorDict({keys.OBSERVATION: observation}, batch_size=[])
+        with (
+            set_exploration_type(ExplorationType.DETERMINISTIC),
+            weights.to_module(prefix, preserve_module_state=False),
+        ):
+            values = prefix(rows).get(written)
+        if has_atoms:
+            support: torch.Tensor = actor.support  # pyright: ignore[reportAssignmentType]
+            return support @ values.softmax(-2)
+        return values
+
+    return outputs

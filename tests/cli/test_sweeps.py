@@ -1,0 +1,127 @@
+"""Sweeps as a user runs them: which jobs they make, and what becomes of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sysconfig
+import time
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_module
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from gdrl_torchrl.analysis.run_table import find_runs, run_row
+from gdrl_torchrl.cli.compose import CONFIG_MODULE, load_experiment, register_configs
+from gdrl_torchrl.training.run_directory import RunDirectory
+
+SCRIPTS = Path(sysconfig.get_path("scripts"))
+CONF = resources.files("gdrl_torchrl.conf")
+SWEEPS = sorted(
+    entry.name.removesuffix(".yaml") for entry in CONF.joinpath("sweep").iterdir()
+)
+QUESTIONS = {
+    "mutation_reading",
+    "mutation_std",
+    "mutation_schedule",
+    "population_size",
+    "trials",
+    "period",
+    "hand_over",
+    "experience_share",
+    "tie_rule",
+    "fitness",
+    "network_width",
+    "num_beams",
+    "goal_tolerance",
+    "wave_height",
+}
+SMALL = ("toy=true", "budget.total_steps=1000", "evaluation.episodes=2")
+
+
+def sweep_config(name):
+    register_configs()
+    with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
+        return compose("config", overrides=[f"+sweep={name}"], return_hydra_config=True)
+
+
+def jobs_of(name):
+    """Overrides of every job, as Hydra's own sweeper splits the axes."""
+    params = OmegaConf.to_container(sweep_config(name).hydra.sweeper.params)
+    texts = [f"{key}={value}" for key, value in params.items()]
+    parsed = OverridesParser.create().parse_overrides(texts)
+    (batch,) = BasicSweeper.split_arguments(parsed, max_batch_size=None)
+    return [list(job) for job in batch]
+
+
+def test_there_is_a_sweep_for_every_question_and_comparison():
+    assert set(SWEEPS) >= QUESTIONS | {"smoke", "paper_indoor", "paper_water"}
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_a_sweep_is_named_as_its_file_and_names_its_launcher(name):
+    config = sweep_config(name)
+    assert config.name == name
+    assert "BasicLauncher" in config.hydra.launcher._target_
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_every_job_of_a_sweep_is_valid_and_has_a_directory_of_its_own(name):
+    jobs = jobs_of(name)
+    assert len(jobs) > 2
+    # Seeds differ in nothing but the last part of the path: one of each is enough.
+    first = [job for job in jobs if not any("seed=" in o and o != "seed=0" for o in job)]
+    configs = [load_experiment([f"+sweep={name}", *job]) for job in first]
+    paths = {RunDirectory.of(config).path for config in configs}
+    assert len(paths) == len(first)
+    assert all(path.parts[1] == name for path in paths)
+
+
+def test_the_smoke_sweep_has_every_experiment():
+    experiments = {
+        entry.name.removesuffix(".yaml") for entry in CONF.joinpath("experiment").iterdir()
+    }
+    assert {job[0] for job in jobs_of("smoke")} == {f"experiment={e}" for e in experiments}
+
+
+def sweep(folder, *overrides, **kwargs):
+    return subprocess.Popen(
+        [SCRIPTS / "gdrl-train", "-m", *overrides, *SMALL, f"runs_dir={folder}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **kwargs,
+    )
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_path):
+    # The second job is impossible, the others are not.
+    axes = ("experiment=ppo_water,grainbow_water", "task.actions=continuous", "seed=0,1,2")
+    first = sweep(tmp_path, *axes)
+    for _ in range(600):
+        done = list(tmp_path.rglob("DONE"))
+        if done:
+            break
+        time.sleep(0.1)
+    first.send_signal(signal.SIGTERM)
+    first.communicate(timeout=120)
+    assert first.returncode != 0
+    assert done
+    assert len(list(tmp_path.rglob("DONE"))) < 3, "the signal ended the whole sweep"
+    stamps = {path: os.stat(path).st_mtime_ns for path in tmp_path.rglob("DONE")}
+
+    second = sweep(tmp_path, *axes)
+    printed, said = second.communicate(timeout=300)
+    assert second.returncode != 0, "a job failed"
+    assert "needs task.actions=discrete" in said
+    runs = find_runs(tmp_path)
+    assert [run_row(run)["state"] for run in runs] == ["done"] * 3
+    assert len(printed.split()) == 3
+    assert {path: os.stat(path).st_mtime_ns for path in stamps} == stamps, "not run again"
+

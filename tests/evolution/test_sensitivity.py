@@ -1,0 +1,76 @@
+"""Sensitivity against finite differences, and mutations that respect it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from gdrl_torchrl.evolution.genome import genome_of
+from gdrl_torchrl.evolution.sensitivity import dampen, output_sensitivity
+from gdrl_torchrl.modules.outputs import outputs_of
+
+
+@pytest.mark.parametrize("rows", [1, 5, 70])
+def test_it_is_the_root_mean_square_of_finite_differences(rows, actor_kind, actor_of):
+    torch.manual_seed(0)
+    actor = actor_of(actor_kind).double()
+    genome, outputs = genome_of(actor), outputs_of(actor)
+    observations = torch.randn(rows, 3, dtype=torch.float64)
+    found = output_sensitivity(outputs, genome, observations)
+    assert set(found.keys(True, True)) == set(genome.keys(True, True))
+    rng = torch.Generator().manual_seed(1)
+    for key in genome.keys(True, True):
+        flat = genome[key].numel()
+        for place in torch.randint(flat, (2,), generator=rng).tolist():
+            squares = 0.0
+            for row in observations:
+                values = []
+                for step in (1e-6, -1e-6):
+                    moved = genome.clone()
+                    moved[key].view(-1)[place] += step
+                    values.append(outputs(moved, row).detach())
+                squares += float(((values[0] - values[1]) / 2e-6).square().sum())
+            expected = (squares / rows) ** 0.5
+            assert float(found[key].view(-1)[place]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_outputs_are_the_values_that_the_actor_acts_on(actor_of):
+    for kind, key in (("tanh_normal", "loc"), ("q_value", "action_value")):
+        actor = actor_of(kind)
+        observation = torch.randn(3)
+        row = actor(TensorDict(observation=observation, batch_size=[]))
+        found = outputs_of(actor)(genome_of(actor), observation)
+        assert torch.allclose(found, row[key], atol=1e-6)
+    actor = actor_of("distributional")
+    row = actor(TensorDict(observation=torch.ones(3), batch_size=[]))
+    means = (row["action_value"].exp() * actor.support[:, None]).sum(0)
+    found = outputs_of(actor)(genome_of(actor), torch.ones(3))
+    assert torch.allclose(found, means, atol=1e-5)
+
+
+def test_changes_of_sensitive_weights_shrink_and_those_of_others_grow():
+    before = TensorDict(a=torch.randn(4, 2), b=torch.randn(4, 3), batch_size=[4])
+    change = before.apply(lambda leaf: torch.full_like(leaf, 0.5))
+    after = before.apply(torch.add, change)
+    sensitivity = TensorDict(a=torch.tensor([4.0, 0.0]), b=torch.tensor([1.0, 2.0, 2.0]))
+    out = dampen(before, after, sensitivity, floor=0.1).apply(torch.sub, before)
+    typical = ((16 + 0 + 1 + 4 + 4) / 5) ** 0.5
+    for row in range(4):
+        expected = [0.5 * typical / 4.0, 5.0]
+        assert torch.allclose(out["a"][row], torch.tensor(expected), atol=1e-5)
+        expected = [0.5 * typical / s for s in (1.0, 2.0, 2.0)]
+        assert torch.allclose(out["b"][row], torch.tensor(expected), atol=1e-5)
+
+
+def test_where_nothing_depends_on_any_weight_mutations_stay():
+    before = TensorDict(a=torch.zeros(2, 3), batch_size=[2])
+    after = TensorDict(a=torch.ones(2, 3), batch_size=[2])
+    nothing = TensorDict(a=torch.zeros(3))
+    assert (dampen(before, after, nothing) == after).all()
+
+
+def test_without_observations_it_is_refused(actor_of):
+    actor = actor_of("q_value")
+    with pytest.raises(ValueError, match="observations"):
+        output_sensitivity(outputs_of(actor), genome_of(actor), torch.zeros(0, 3))

@@ -1,0 +1,143 @@
+"""Every system that is shipped trains, counts its costs and can be resumed."""
+
+from __future__ import annotations
+
+import pytest
+
+from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.config.evolution import ErlConfig
+from gdrl_torchrl.training import run
+from gdrl_torchrl.training.run import run_experiment
+
+pytestmark = pytest.mark.usefixtures("without_figures")
+
+SYSTEMS = {
+    "ga_water": "ga",
+    "ga_indoor": "ga",
+    "erl_water": "erl_ppo",
+    "erl_indoor": "erl_rainbow",
+    "soft_indoor": "soft_rainbow",
+    "safe_mutation_water": "safe_mutation_ppo",
+    "safe_mutation_indoor": "safe_mutation_rainbow",
+    "crossover_water": "crossover_ppo",
+    "n_point_indoor": "n_point_rainbow",
+    "paired_water": "paired_ppo",
+    "paired_indoor": "paired_rainbow",
+    "control_experience_indoor": "control_experience_rainbow",
+    "control_selection_water": "control_selection_ppo",
+    "gppo_indoor": "gppo",
+    "grainbow_water": "grainbow",
+}
+ALL = [
+    "evaluation.episodes=3",
+    "evaluation.num_worlds=2",
+    "logger.tensorboard=false",
+    "logger.video_episodes=0",
+    "simulation.num_threads=1",
+    "checkpoint.interval_s=0",
+    "task.step_limit=8",
+    "task.goal_tolerance_m=0.5",
+    "network.actor_cells=[8,8]",
+]
+LEARNER = ["algorithm.num_worlds=4", "algorithm.frames_per_batch=40"]
+OF_ALGORITHM = {
+    "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
+    "rainbow": [
+        *LEARNER,
+        "algorithm.minibatch_size=16",
+        "algorithm.updates_per_batch=2",
+        "algorithm.num_atoms=11",
+        "algorithm.warmup_steps=40",
+        "algorithm.replay_capacity=200",
+    ],
+    "ga": [
+        "algorithm.population_size=4",
+        "algorithm.num_parents=2",
+        "algorithm.num_validated=2",
+        "algorithm.num_trials=2",
+        "algorithm.validation_trials=2",
+    ],
+}
+ERL = ["evolution.population_size=4", "evolution.num_elites=1", "evolution.num_trials=2"]
+GENETIC = [
+    "evolution.num_children=3",
+    "evolution.num_trials=2",
+    "evolution.period_episodes=8",
+    "evolution.screening_trials=1",
+    "evolution.test_trials=2",
+]
+
+
+@pytest.fixture
+def small(tmp_path):
+    def compose(name, *overrides):
+        plain = load_experiment([f"experiment={name}"])
+        options = [*ALL, *OF_ALGORITHM[plain.algorithm.name]]
+        if plain.evolution.enabled:
+            options += ERL if isinstance(plain.evolution, ErlConfig) else GENETIC
+        runs = f"runs_dir={tmp_path / 'runs'}"
+        return load_experiment([f"experiment={name}", *options, runs, *overrides])
+
+    return compose
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_system_that_was_stopped_ends_where_one_that_was_not_does(
+    name, small, rows_of, evaluation_of, tmp_path
+):
+    budgets = ["budget.agent_steps=120", "budget.agent_steps=240"]
+    if SYSTEMS[name] == "ga":
+        budgets = ["budget.total_steps=200", "budget.total_steps=400"]
+    whole = run_experiment(small(name, budgets[1], f"runs_dir={tmp_path / 'whole'}"))
+    for budget in budgets:
+        stopped = run_experiment(small(name, budget))
+    assert stopped.parts[-3] == SYSTEMS[name]
+    assert rows_of(stopped) == rows_of(whole)
+    one, other = evaluation_of(stopped), evaluation_of(whole)
+    assert one.pop("wall_s") > 0.0
+    other.pop("wall_s")
+    assert one == other
+    rows = rows_of(whole)
+    assert one["algorithm"] == SYSTEMS[name]
+    assert one["population_steps"] > 0
+    assert one["total_steps"] == one["agent_steps"] + one["population_steps"]
+    assert int(rows[-1]["evaluations"]) >= 2
+    assert any(row["fitness_best"] for row in rows)
+    assert (one["agent_steps"] == 0) == (SYSTEMS[name] == "ga")
+
+
+@pytest.mark.parametrize("name", ["erl_water", "ga_indoor"])
+def test_the_result_is_the_champion(name, small, monkeypatch):
+    champions = []
+    save = run.save_policy
+
+    def save_and_note(folder, actor, task, config):
+        champions.append(actor)
+        save(folder, actor, task, config)
+
+    monkeypatch.setattr(run, "save_policy", save_and_note)
+    trained = []
+    build = run.build_training
+    monkeypatch.setattr(
+        run, "build_training", lambda config: trained.append(build(config)) or trained[0]
+    )
+    run_experiment(small(name, "budget.total_steps=300", "budget.agent_steps=200"))
+    champion = trained[0].genetic.final_genome()
+    weights = dict(champions[0].named_parameters())
+    for key in champion.keys(True, True):
+        path = key if isinstance(key, str) else ".".join(key)
+        assert (weights[path] == champion[key]).all()
+
+
+def test_a_genetic_algorithm_beside_an_evolution_is_refused(small):
+    with pytest.raises(ValueError, match="evolution=none"):
+        run_experiment(small("ga_water", "evolution=genetic", "budget.total_steps=300"))
+
+
+@pytest.mark.parametrize(
+    ("name", "needed"), [("gppo_indoor", "discrete"), ("grainbow_water", "continuous")]
+)
+def test_an_impossible_pair_says_which_variant_to_choose(name, needed, small):
+    other = {"discrete": "continuous", "continuous": "discrete"}[needed]
+    with pytest.raises(ValueError, match=f"needs task.actions={other}"):
+        run_experiment(small(name, f"task.actions={needed}"))
