@@ -19,7 +19,8 @@ class EvolutionConfig:
     enabled: bool = True
     num_children: int = 10
     num_trials: int = 10
-    """Episodes that every member is scored on."""
+    """Episodes that every member is scored on; with ``contest=paired`` only the number
+    that goals are counted per."""
     period_episodes: int = 50
     """Completed training episodes between evaluations; not given by the papers."""
     mutation: str = "bernoulli"
@@ -57,7 +58,7 @@ class EvolutionConfig:
     critic_on_switch: str = "keep"
     """``keep`` the parent's critic or ``reset`` it to new weights."""
     target_tau: float = 0.1
-    """How far a target network moves towards the new agent on a switch."""
+    """How far a target network moves towards the winner on a switch."""
     experience_share: float = 0.1
     """Share of an evaluation's transitions that enters the agent's replay buffer; 0
     shares none."""

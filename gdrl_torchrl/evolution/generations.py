@@ -132,8 +132,8 @@ def next_erl_generation(
     """Elites as they are, first; the rest are crossed and mutated, ``[P]``.
 
     As in Evolutionary RL (Khadka and Tumer, NeurIPS 2018, algorithm 1): the other
-    places go to tournament winners, of which those that are no elites are crossed with
-    a random elite; then each mutates with ``mutation_probability``.
+    places go to tournament winners, each crossed with a random elite; then each mutates
+    with ``mutation_probability``.
 
     Args:
         population: Genomes ``[P]``.

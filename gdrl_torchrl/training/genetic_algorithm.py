@@ -24,9 +24,9 @@ from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 class GeneticAlgorithm(PopulationHook):
     """One generation at every step of a :class:`GenerationLoop`.
 
-    Every member is scored over the same fresh episodes; the best few play again, and
-    the best of those is the elite, which goes on unchanged; the rest of the next
-    generation are mutated copies of the best members (Such et al. 2017,
+    Every member is scored over the same fresh episodes; the best few and the elite play
+    again, and the best of those is the new elite, which goes on unchanged; the rest of
+    the next generation are mutated copies of the best members (Such et al. 2017,
     https://arxiv.org/abs/1712.06567, algorithm 1).
 
     Args:
@@ -97,6 +97,9 @@ class GeneticAlgorithm(PopulationHook):
         elite, judged, row = int(order[0]), scores, int(order[0])
         if self.num_validated:
             best = order[: self.num_validated]
+            if self._has_elite and 0 not in best.tolist():
+                # The elite plays again too, however its short episodes went.
+                best = torch.cat([best, torch.zeros(1, dtype=best.dtype)])
             seeds = self.evaluator.fresh_seeds(self.validation_trials)
             judged = self.evaluator.evaluate(self.population[best], seeds=seeds)
             steps += int(judged[keys.FRAMES].sum())

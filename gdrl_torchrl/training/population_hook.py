@@ -80,7 +80,17 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         self._trainer: Any = None
 
     def register(self, trainer: Any, name: str = "genetic_hook") -> None:
-        """Register with a trainer: batches are observed, evaluations follow updates."""
+        """Register with a trainer: batches are observed, evaluations follow updates.
+
+        Raises:
+            ValueError: If the trainer collects asynchronously: it shows its hooks no
+                batches, so no episode would ever be counted.
+        """
+        if getattr(trainer, "async_collection", False):
+            raise ValueError(
+                "async_collection=True: batches never reach the hook, so it would never "
+                "evaluate; collect synchronously"
+            )
         self._trainer = trainer
         trainer.register_module(name, self)
         trainer.register_op("batch_process", self.observe)

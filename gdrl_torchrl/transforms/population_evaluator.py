@@ -225,6 +225,11 @@ class PopulationEvaluator(Transform):
         self, params: TensorDictBase, seeds: torch.Tensor | None, *, keep_transitions: bool
     ) -> tuple[TensorDictBase, TensorDictBase]:
         env, count = self.env, params.batch_size[0]
+        if self.fitness == "goals" and "success" not in self.final_keys(env).values():
+            raise ValueError(
+                f"fitness='goals' needs the entry {self.success_key!r} of the environment, "
+                "which it has not: choose fitness='return' or another success_key"
+            )
         if seeds is None:
             seeds = self.fresh_seeds(self.num_episodes)
         self.num_evaluations += 1

@@ -124,4 +124,3 @@ def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_p
     assert [run_row(run)["state"] for run in runs] == ["done"] * 3
     assert len(printed.split()) == 3
     assert {path: os.stat(path).st_mtime_ns for path in stamps} == stamps, "not run again"
-

@@ -122,6 +122,14 @@ def test_one_evaluation_at_a_batch_boundary_however_many_periods_have_passed(act
     assert evaluator.num_evaluations == 1
 
 
+def test_a_trainer_that_collects_asynchronously_is_refused(actor):
+    class Asynchronous:
+        async_collection = True
+
+    with pytest.raises(ValueError, match="async_collection"):
+        hook_of(actor, ScriptedEvaluator(PARENT_WINS)).register(Asynchronous())
+
+
 def test_without_a_period_it_only_watches(actor):
     evaluator = ScriptedEvaluator(PARENT_WINS)
     hook = hook_of(actor, evaluator, period_episodes=None)

@@ -375,13 +375,26 @@ def test_a_member_that_breaks_in_its_last_trial_only_has_no_fitness(
 
     actor = TensorDictModule(Fragile(), in_keys=["observation"], out_keys=["action"])
     evaluator = PopulationEvaluator(
-        actor, num_episodes=3, create_env_fn=lambda: CountdownEnv(2), max_steps=4
+        actor,
+        num_episodes=3,
+        create_env_fn=lambda: CountdownEnv(2),
+        max_steps=4,
+        fitness="return",
     )
     params = TensorDict({("module", "weight"): torch.ones(1, 1)}, batch_size=[1])
     assert not math.isnan(
         evaluator.evaluate(params, seeds=torch.tensor([1, 2, 4]))["fitness"]
     )
     assert math.isnan(evaluator.evaluate(params, seeds=torch.tensor([1, 2, 3]))["fitness"])
+
+
+def test_goals_cannot_be_counted_where_the_environment_names_none(actor_of, population_of):
+    actor = actor_of("tanh_normal")
+    evaluator = PopulationEvaluator(
+        actor, num_episodes=2, create_env_fn=lambda: CountdownEnv(2), max_steps=4
+    )
+    with pytest.raises(ValueError, match="success"):
+        evaluator.evaluate(population_of(actor, 2))
 
 
 # Transitions

@@ -61,7 +61,9 @@ def evaluator_of(actor, **options):
 
 
 def transformed_mock(actor):
-    return TransformedEnv(ContinuousActionVecMockEnv(), evaluator_of(actor))
+    return TransformedEnv(
+        ContinuousActionVecMockEnv(), evaluator_of(actor, fitness="return")
+    )
 
 
 def test_single_trans_env_check(water, water_actor, mock_actor):
@@ -84,7 +86,9 @@ def test_parallel_trans_env_check(mock_actor):
 
 
 def test_trans_serial_env_check(mock_actor, mock_population):
-    env = TransformedEnv(SerialEnv(2, ContinuousActionVecMockEnv), evaluator_of(mock_actor))
+    env = TransformedEnv(
+        SerialEnv(2, ContinuousActionVecMockEnv), evaluator_of(mock_actor, fitness="return")
+    )
     check_env_specs(env)
     assert env.transform.evaluate(mock_population)["returns"].shape == (3, EPISODES)
     env.close()
@@ -93,7 +97,7 @@ def test_trans_serial_env_check(mock_actor, mock_population):
 def test_trans_parallel_env_check(mock_actor, mock_population):
     env = TransformedEnv(
         ParallelEnv(2, ContinuousActionVecMockEnv, mp_start_method="fork"),
-        evaluator_of(mock_actor),
+        evaluator_of(mock_actor, fitness="return"),
     )
     try:
         check_env_specs(env)
