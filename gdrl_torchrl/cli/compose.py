@@ -12,10 +12,11 @@ from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_tasks import task_names
 from gdrl_torchrl.config import schema
-from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.evolution import EVOLUTIONS
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.config.toy import as_toy
+from gdrl_torchrl.plugins import conf_packages
 
 CONFIG_MODULE = "gdrl_torchrl.conf"
 _PROVIDER = "gdrl_torchrl"
@@ -30,13 +31,19 @@ def register_configs() -> None:
         store.store(name=name, node=node, group=group, provider=_PROVIDER)
 
     add("experiment_config", schema.ExperimentConfig)
-    for name, node in ALGORITHMS.items():
+    for name, node in algorithm_configs().items():
         add(f"{name}_config", node, "algorithm")
     add("network_config", schema.NetworkConfig, "network")
     for name, node in EVOLUTIONS.items():
         add(f"{name}_config", node, "evolution")
     for name in task_names():
         add(f"{name}_config", task_config_class(name), "task")
+
+
+def search_path() -> list[str]:
+    """The override that adds other packages' configurations, if there are any."""
+    packages = ",".join(f"pkg://{package}" for package in conf_packages())
+    return [f"hydra.searchpath=[{packages}]"] if packages else []
 
 
 def to_experiment(config: DictConfig) -> schema.ExperimentConfig:
@@ -62,7 +69,7 @@ def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:
     """
     register_configs()
     with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
-        return to_experiment(compose("config", overrides=overrides))
+        return to_experiment(compose("config", overrides=[*search_path(), *overrides]))
 
 
 def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.cli.compose import merge_task
-from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig, NetworkConfig
 
 _USAGE = (
@@ -62,7 +62,7 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
 
     config = ExperimentConfig(
         task=merge_task(saved["task"], []),
-        algorithm=ALGORITHMS[saved["algorithm"]["name"]](**saved["algorithm"]),
+        algorithm=algorithm_configs()[saved["algorithm"]["name"]](**saved["algorithm"]),
         network=NetworkConfig(**saved["network"]),
     )
     task_config = merge_task(saved["task"], overrides)

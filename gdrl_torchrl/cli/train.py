@@ -15,7 +15,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from gdrl_torchrl.cli.compose import CONFIG_MODULE, register_configs, to_experiment
+from gdrl_torchrl.cli.compose import (
+    CONFIG_MODULE,
+    register_configs,
+    search_path,
+    to_experiment,
+)
 
 
 @hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name="config", version_base="1.3")
@@ -55,6 +60,11 @@ def _run_job(config: DictConfig) -> float:
 def main() -> None:
     """Entry point of ``gdrl-train``."""
     register_configs()
+    if not any(argument.startswith("hydra.searchpath") for argument in sys.argv[1:]):
+        # Beside the other overrides: they must follow each other.
+        is_override = ["=" in a and not a.startswith("-") for a in sys.argv]
+        place = is_override.index(True) if any(is_override) else len(sys.argv)
+        sys.argv[place:place] = search_path()
     _train()
 
 

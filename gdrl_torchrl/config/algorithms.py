@@ -6,6 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from gdrl_torchrl.config.checks import check_choice, check_range
+from gdrl_torchrl.plugins import with_plugins
 
 
 @dataclasses.dataclass
@@ -164,7 +165,14 @@ ALGORITHMS: dict[str, type] = {
     "rainbow": RainbowConfig,
     "ga": GAConfig,
 }
-"""The dataclass of each ``conf/algorithm``."""
+"""The dataclass of each ``conf/algorithm`` of ours."""
+
+
+def algorithm_configs() -> dict[str, type]:
+    """The dataclass of each algorithm, those of other packages included."""
+    offered = with_plugins({}, "gdrl.algorithms")
+    others = {name: algorithm.config for name, algorithm in offered.items()}
+    return others | ALGORITHMS
 
 
 def check_whole_rows(frames_per_batch: int, num_worlds: int) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from gdrl_torchrl.config.checks import check_choice, check_folder, check_range
-from gdrl_torchrl.evolution.crossover import CROSSOVERS
-from gdrl_torchrl.evolution.mutation import MUTATIONS
+from gdrl_torchrl.evolution.crossover import crossovers
+from gdrl_torchrl.evolution.mutation import mutations
 from gdrl_torchrl.evolution.selection import TIE_RULES
 
 
@@ -83,7 +83,7 @@ class EvolutionConfig:
             check_range(f"evolution.{name}", getattr(self, name), least=1)
         check_range("evolution.own_share", self.own_share, least=0.0, below=1.0)
         check_range("evolution.level", self.level, above=0.0, below=1.0)
-        check_choice("evolution.crossover", self.crossover, CROSSOVERS)
+        check_choice("evolution.crossover", self.crossover, crossovers())
         check_choice("evolution.contest", self.contest, ("full", "paired"))
         check_choice("evolution.share_on", self.share_on, ("switch", "always"))
         if self.num_worlds is not None:
@@ -91,7 +91,7 @@ class EvolutionConfig:
         check_range("evolution.mut_v", self.mut_v, least=0.0)
         for name in ("target_tau", "experience_share"):
             check_range(f"evolution.{name}", getattr(self, name), least=0.0, most=1.0)
-        check_choice("evolution.mutation", self.mutation, MUTATIONS)
+        check_choice("evolution.mutation", self.mutation, mutations())
         check_choice("evolution.mut_v_is", self.mut_v_is, ("std", "variance"))
         check_choice("evolution.fitness", self.fitness, ("goals", "return"))
         check_choice("evolution.tie_rule", self.tie_rule, TIE_RULES)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDictBase
 
+from gdrl_torchrl.plugins import with_plugins
+
 
 def mean_crossover(
     first: TensorDictBase, second: TensorDictBase, *, share: float
@@ -177,3 +179,13 @@ CROSSOVERS: dict[str, Callable[..., TensorDictBase]] = {
     "n_point": cross_with_neighbours,
 }
 """What may be done to children after their mutation, by name."""
+
+
+def crossovers() -> dict[str, Callable[..., TensorDictBase]]:
+    """All crossovers by name: ours, and those of other packages (``gdrl.crossovers``).
+
+    Examples:
+        >>> sorted(crossovers())[:2]
+        ['n_point', 'none']
+    """
+    return with_plugins(CROSSOVERS, "gdrl.crossovers")

@@ -13,6 +13,8 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDictBase
 
+from gdrl_torchrl.plugins import with_plugins
+
 
 def bernoulli_mutation(
     genomes: TensorDictBase, *, mut_p: float, std: float, generator: torch.Generator
@@ -89,6 +91,16 @@ MUTATIONS: dict[str, Callable[..., TensorDictBase]] = {
     "pseudocode": pseudocode_mutation,
     "scaled": scaled_mutation,
 }
+
+
+def mutations() -> dict[str, Callable[..., TensorDictBase]]:
+    """All mutations by name: ours, and those of other packages (``gdrl.mutations``).
+
+    Examples:
+        >>> sorted(mutations())[:2]
+        ['bernoulli', 'pseudocode']
+    """
+    return with_plugins(MUTATIONS, "gdrl.mutations")
 
 
 def standard_deviation(mut_v: float, meaning: str) -> float:

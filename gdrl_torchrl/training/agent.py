@@ -81,6 +81,20 @@ class Agent:
     """Takes a share of whole episodes of other policies, ``[T]``, into the buffer."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Algorithm:
+    """An algorithm: what it can be told, and what it makes of that.
+
+    A package offers one of these as an entry point in the group ``gdrl.algorithms``.
+    """
+
+    config: type
+    """A dataclass with a field ``name`` and a class variable ``actions``: the kind that
+    it needs, ``discrete``, ``continuous`` or ``any``."""
+    make_actor: MakeActor
+    make_agent: Callable[[ExperimentConfig, NavigationTask], Agent]
+
+
 def make_training_env(config: ExperimentConfig, task: NavigationTask) -> EnvBase:
     """The environment that an agent's collector steps."""
     return make_env(

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 from tensordict.nn import TensorDictModuleBase
 
 from gdrl_tasks import NavigationTask
+from gdrl_torchrl.config.algorithms import GAConfig, PPOConfig, RainbowConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
-from gdrl_torchrl.training.agent import Agent, MakeActor, check_fit
+from gdrl_torchrl.plugins import with_plugins
+from gdrl_torchrl.training.agent import Agent, Algorithm, check_fit
 from gdrl_torchrl.training.evolve import make_population_hook
 from gdrl_torchrl.training.genetic_algorithm import make_ga_actor, make_ga_agent
 from gdrl_torchrl.training.population_hook import PopulationHook
 from gdrl_torchrl.training.ppo import make_ppo_actor, make_ppo_agent
 from gdrl_torchrl.training.rainbow import make_rainbow_actor, make_rainbow_agent
 
-ACTORS: dict[str, MakeActor] = {
-    "ppo": make_ppo_actor,
-    "rainbow": make_rainbow_actor,
-    "ga": make_ga_actor,
+ALGORITHMS: dict[str, Algorithm] = {
+    "ppo": Algorithm(PPOConfig, make_ppo_actor, make_ppo_agent),
+    "rainbow": Algorithm(RainbowConfig, make_rainbow_actor, make_rainbow_agent),
+    "ga": Algorithm(GAConfig, make_ga_actor, make_ga_agent),
 }
-AGENTS: dict[str, Callable[[ExperimentConfig, NavigationTask], Agent]] = {
-    "ppo": make_ppo_agent,
-    "rainbow": make_rainbow_agent,
-    "ga": make_ga_agent,
-}
+"""Ours; see :func:`algorithm_of` for those of other packages."""
+
+
+def algorithm_of(config: ExperimentConfig) -> Algorithm:
+    """The algorithm of a run."""
+    return with_plugins(ALGORITHMS, "gdrl.algorithms")[config.algorithm.name]
 
 
 @dataclasses.dataclass
@@ -56,9 +58,9 @@ def build_training(config: ExperimentConfig) -> Training:
         ValueError: If task and algorithm do not fit, or an option is out of range.
     """
     task = make_task_of(config)
-    name = config.algorithm.name
-    agent = AGENTS[name](config, task)
-    genetic = make_population_hook(config, task, agent, ACTORS[name])
+    algorithm = algorithm_of(config)
+    agent = algorithm.make_agent(config, task)
+    genetic = make_population_hook(config, task, agent, algorithm.make_actor)
     genetic.register(agent.trainer)
     return Training(task, agent, genetic)
 
@@ -81,4 +83,4 @@ def make_actor(task: NavigationTask, config: ExperimentConfig) -> TensorDictModu
     Raises:
         ValueError: If task and algorithm do not fit.
     """
-    return ACTORS[config.algorithm.name](task, config)
+    return algorithm_of(config).make_actor(task, config)

@@ -14,9 +14,9 @@ from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.evolution import ErlConfig, EvolutionConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import make_env
-from gdrl_torchrl.evolution.crossover import CROSSOVERS
+from gdrl_torchrl.evolution.crossover import crossovers
 from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
-from gdrl_torchrl.evolution.mutation import MUTATIONS, standard_deviation
+from gdrl_torchrl.evolution.mutation import mutations, standard_deviation
 from gdrl_torchrl.evolution.paired import HalvingPlan
 from gdrl_torchrl.evolution.schedule import MutationSchedule
 from gdrl_torchrl.evolution.sensitivity import output_sensitivity
@@ -59,10 +59,10 @@ def _genetic(
         _evaluator(config, task, agent, evolution, 1 + evolution.num_children),
         num_children=evolution.num_children,
         period_episodes=evolution.period_episodes if evolution.enabled else None,
-        mutation=MUTATIONS[evolution.mutation],
+        mutation=mutations()[evolution.mutation],
         std=standard_deviation(evolution.mut_v, evolution.mut_v_is),
         schedule=MutationSchedule(tuple(evolution.rates), tuple(evolution.thresholds)),
-        crossover=CROSSOVERS[evolution.crossover],
+        crossover=crossovers()[evolution.crossover],
         num_points=evolution.num_points,
         sensitivity=sensitivity,
         sensitivity_rows=evolution.sensitivity_rows,

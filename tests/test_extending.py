@@ -1,0 +1,89 @@
+"""The outside package of examples/extending, installed from its wheel and run."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder with the example and nothing else."""
+    folder = tmp_path_factory.mktemp("extending")
+    source = shutil.copytree(ROOT / "examples" / "extending", folder / "source")
+    options = ["--no-deps", "--no-build-isolation", "--quiet"]
+    build = [*PIP, "wheel", *options, "--wheel-dir", folder, source]
+    subprocess.run(build, check=True, cwd=folder)
+    (wheel,) = folder.glob("gdrl_example-*.whl")
+    target = folder / "site"
+    subprocess.run(
+        [*PIP, "install", "--no-deps", "--quiet", "--target", target, wheel], check=True
+    )
+    return target
+
+
+@pytest.fixture
+def command(installed, tmp_path):
+    def run(module, *arguments):
+        return subprocess.run(
+            [sys.executable, "-m", f"gdrl_torchrl.cli.{module}", *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(installed)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return run
+
+
+def test_its_operator_algorithm_and_task_train_together(command):
+    trained = command("train", "experiment=a2c_pond", "toy=true")
+    assert trained.returncode == 0, trained.stderr
+    run = trained.stdout.split()[-1]
+    assert "a2c_pond/pond/cauchy_a2c" in run
+    listed = command("runs", "runs", "evolution.mutation=cauchy")
+    assert listed.stdout.splitlines()[1].startswith("done")
+    evaluated = command("evaluate", f"run={run}", "episodes=4", "task.width_m=6.0")
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert json.loads(evaluated.stdout)["episodes"] == 4
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [("task.width_m=50", "width_m=50"), ("algorithm.num_worlds=3", "frames_per_batch=256")],
+)
+def test_its_options_are_checked_as_ours(override, said, command):
+    refused = command("train", "experiment=a2c_pond", override)
+    assert refused.returncode != 0
+    assert said in refused.stderr
+
+
+def test_its_parts_go_with_ours(command):
+    for overrides in (
+        ("experiment=gppo_water", "evolution=cauchy"),
+        ("experiment=gppo_water", "task=pond"),
+    ):
+        shown = command("train", *overrides, "--cfg", "job")
+        assert shown.returncode == 0, shown.stderr
+
+
+def test_without_it_its_names_are_unknown(tmp_path):
+    refused = subprocess.run(
+        [sys.executable, "-m", "gdrl_torchrl.cli.train", "experiment=a2c_pond"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert refused.returncode != 0
+    assert "a2c_pond" in refused.stderr
