@@ -11,11 +11,11 @@ from tensordict.nn import TensorDictModuleBase
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.generations import next_erl_generation, ranking
 from gdrl_torchrl.evolution.genome import genome_of
-from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
+from gdrl_torchrl.training.population_hook import GeneticEvaluation, LivingPopulationHook
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 
-class ErlHook(PopulationHook):
+class ErlHook(LivingPopulationHook):
     """A population that lives on, fed by the agent and feeding its replay buffer.
 
     Evolutionary RL (Khadka and Tumer, NeurIPS 2018, https://arxiv.org/abs/1805.07917):
@@ -71,6 +71,7 @@ class ErlHook(PopulationHook):
         super().__init__(
             actor,
             evaluator,
+            population,
             period_episodes=period_episodes,
             window_episodes=window_episodes,
             seed=seed,
@@ -85,7 +86,6 @@ class ErlHook(PopulationHook):
                 f"num_elites={num_elites} must be in [1, {count - 2}], so that one member "
                 "is new and one is the agent's copy"
             )
-        self.population = population
         self.num_elites = num_elites
         self.tournament_size = tournament_size
         self.mutation_probability = mutation_probability
@@ -132,10 +132,8 @@ class ErlHook(PopulationHook):
         return self.champion
 
     def state_dict(self) -> dict[str, Any]:
-        """As of the base, with the population."""
-        state = super().state_dict()
-        state["population"] = self.population.to_dict()
-        state["agent_is_in"] = self._agent_is_in
+        """As of the base, with the champion."""
+        state = super().state_dict() | {"agent_is_in": self._agent_is_in}
         if self.champion is not None:
             state["champion"] = self.champion.to_dict()
         return state
@@ -143,8 +141,6 @@ class ErlHook(PopulationHook):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
-        size = self.population.batch_size
-        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
         self._agent_is_in = bool(state_dict["agent_is_in"])
         champion = state_dict.get("champion")
         if champion is not None:

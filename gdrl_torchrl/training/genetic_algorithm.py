@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Bounded, Categorical
 
@@ -17,11 +17,11 @@ from gdrl_torchrl.evolution.generations import next_truncated_generation, rankin
 from gdrl_torchrl.evolution.selection import rank_scores
 from gdrl_torchrl.modules.actor import make_argmax_actor, make_tanh_normal_actor
 from gdrl_torchrl.training.agent import ACTIVATIONS, Agent
-from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
+from gdrl_torchrl.training.population_hook import GeneticEvaluation, LivingPopulationHook
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 
-class GeneticAlgorithm(PopulationHook):
+class GeneticAlgorithm(LivingPopulationHook):
     """One generation at every step of a :class:`GenerationLoop`.
 
     Every member is scored over the same fresh episodes; the best few and the elite play
@@ -65,6 +65,7 @@ class GeneticAlgorithm(PopulationHook):
         super().__init__(
             actor,
             evaluator,
+            population,
             window_episodes=window_episodes,
             seed=seed,
             on_evaluation=on_evaluation,
@@ -78,7 +79,6 @@ class GeneticAlgorithm(PopulationHook):
                 raise ValueError(f"{name}={value} must be in [{least}, {count}]")
         if validation_trials < 1:
             raise ValueError(f"validation_trials={validation_trials} must be >= 1")
-        self.population = population
         self.num_parents = num_parents
         self.num_validated = num_validated
         self.validation_trials = validation_trials
@@ -138,17 +138,12 @@ class GeneticAlgorithm(PopulationHook):
         return self.population[0].clone() if self._has_elite else None
 
     def state_dict(self) -> dict[str, Any]:
-        """As of the base, with the population."""
-        state = super().state_dict()
-        state["population"] = self.population.to_dict()
-        state["has_elite"] = self._has_elite
-        return state
+        """As of the base, with whether there is an elite."""
+        return super().state_dict() | {"has_elite": self._has_elite}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
-        size = self.population.batch_size
-        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
         self._has_elite = bool(state_dict["has_elite"])
 
 

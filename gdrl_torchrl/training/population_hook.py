@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.trainers.trainers import TrainerHookBase
 
@@ -186,3 +186,37 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         self.episodes_completed = state_dict["episodes_completed"]
         self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
         self._last_episode = state_dict["last_episode"]
+
+
+class LivingPopulationHook(PopulationHook):
+    """A hook whose population lives on from one evaluation to the next.
+
+    Args:
+        actor: A policy of the population's family.
+        evaluator: Scores populations.
+        population: The first generation, ``[P]``.
+        **watching: As of :class:`PopulationHook`.
+
+    Attributes:
+        population: The generation that is scored next, ``[P]``.
+    """
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        evaluator: PopulationEvaluator,
+        population: TensorDictBase,
+        **watching: Any,
+    ) -> None:
+        super().__init__(actor, evaluator, **watching)
+        self.population = population
+
+    def state_dict(self) -> dict[str, Any]:
+        """As of the base, with the population."""
+        return super().state_dict() | {"population": self.population.to_dict()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        super().load_state_dict(state_dict)
+        size = self.population.batch_size
+        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
