@@ -26,13 +26,30 @@ from gdrl_torchrl.cli.compose import (
 @hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name="config", version_base="1.3")
 def _train(config: DictConfig) -> float:
     """Run one job; its value is the held-out success rate, for sweepers that search."""
-    in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+    hydra_config = HydraConfig.get()
+    in_sweep = hydra_config.mode == RunMode.MULTIRUN
     try:
+        if in_sweep:
+            check_launcher(hydra_config.launcher["_target_"])
         return _run_job(config)
     except ValueError as error:
         if in_sweep:
             raise
         sys.exit(f"error: {error}")
+
+
+def check_launcher(target: str) -> None:
+    """Raise ValueError if a launcher is known to break runs.
+
+    Examples:
+        >>> check_launcher("hydra._internal.core_plugins.basic_launcher.BasicLauncher")
+    """
+    if "joblib" in target:
+        raise ValueError(
+            "hydra/launcher=joblib: its workers cannot start processes of their own (no "
+            "context 'loky'), as TorchRL's parallel environments do: take basic or a "
+            "launcher that gives each job a process, such as submitit_local"
+        )
 
 
 def _run_job(config: DictConfig) -> float:

@@ -18,6 +18,7 @@ from omegaconf import OmegaConf
 
 from gdrl_torchrl.analysis.run_table import find_runs, run_row
 from gdrl_torchrl.cli.compose import CONFIG_MODULE, load_experiment, register_configs
+from gdrl_torchrl.cli.train import check_launcher
 from gdrl_torchrl.training.run_directory import RunDirectory
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
@@ -87,6 +88,11 @@ def test_the_smoke_sweep_has_every_experiment():
         entry.name.removesuffix(".yaml") for entry in CONF.joinpath("experiment").iterdir()
     }
     assert {job[0] for job in jobs_of("smoke")} == {f"experiment={e}" for e in experiments}
+
+
+def test_a_launcher_that_breaks_runs_is_refused_with_the_reason():
+    with pytest.raises(ValueError, match="loky"):
+        check_launcher("hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher")
 
 
 def sweep(folder, *overrides, **kwargs):

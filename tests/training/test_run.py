@@ -213,3 +213,21 @@ def test_a_run_on_the_dm_control_backend_goes_on(tiny, rows_of):
     rows = rows_of(path)
     assert [row["agent_steps"] for row in rows] == ["40", "80", "120", "160"]
     assert int(rows[-1]["episodes"]) > int(rows[1]["episodes"]) > 0
+
+
+def test_runs_that_share_a_process_do_not_share_anything_else(
+    tiny_of_each, tmp_path, rows_of, evaluation_of
+):
+    # TorchRL's trainers keep counters on their class, which two runs of one have.
+    results = []
+    for folder, seeds in (("a", (0, 1)), ("b", (1, 0))):
+        runs = f"runs_dir={tmp_path / folder}"
+        paths = {seed: run_experiment(tiny_of_each(runs, f"seed={seed}")) for seed in seeds}
+        results.append(
+            [
+                (rows_of(paths[seed]), evaluation_of(paths[seed])["params_sha256"])
+                for seed in (0, 1)
+            ]
+        )
+    assert results[0] == results[1]
+    assert results[0][0] != results[0][1]
