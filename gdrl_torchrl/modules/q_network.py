@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torch import nn
+from torch.nn.functional import linear
 from torchrl.data import Categorical, TensorSpec
 from torchrl.modules import (
     MLP,
@@ -117,10 +118,13 @@ def make_q_actor(
 
 
 class _DuelingNetwork(nn.Module):
-    """Logits ``[..., Z, A]`` of two streams, with the atoms side by side in memory.
+    """Logits ``[..., Z, A]`` of two streams, computed as one.
 
-    TorchRL's ``DuelingMlpDQNet`` keeps the actions side by side, and then each softmax
-    over the atoms, here and in the loss, goes across memory: it takes twice as long.
+    The equal layers of the streams are one product, and the mean over actions is taken
+    of the last layer's weights, not of its values: for a population that is done once,
+    when its weights are given. TorchRL's ``DuelingMlpDQNet`` keeps the
+    actions side by side in memory; here the atoms are, and a softmax over them, here
+    and in the loss, takes half the time.
     """
 
     def __init__(self, features: MLP, *, advantage: MLP, value: MLP) -> None:
@@ -133,10 +137,23 @@ class _DuelingNetwork(nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         features = self.features(observation)
-        value = self.value(features).unsqueeze(-2)
-        advantage = self.advantage(features).unflatten(-1, (-1, value.shape[-1]))
-        logits = advantage + (value - advantage.mean(dim=-2, keepdim=True))
-        return logits.transpose(-1, -2)
+        apart, together = features, features
+        if len(self.value) > 1:
+            first: list[Any] = [self.advantage[0], self.value[0]]
+            weight = torch.cat([layer.weight for layer in first])
+            bias = torch.cat([layer.bias for layer in first])
+            hidden = self.value[1](linear(features, weight, bias))
+            apart, together = hidden.chunk(2, dim=-1)
+        advantage: Any = self.advantage[-1]
+        value: Any = self.value[-1]
+        # [A, Z, H] and [A, Z], less their means over actions.
+        weight = advantage.weight.unflatten(0, (-1, len(value.bias)))
+        weight = weight - weight.mean(dim=0)
+        bias = advantage.bias.view_as(weight[..., 0])
+        bias = bias - bias.mean(dim=0) + value.bias
+        logits = linear(apart, weight.flatten(0, 1), bias.flatten())
+        shared = linear(together, value.weight).unsqueeze(-2)
+        return (logits.unflatten(-1, bias.shape) + shared).transpose(-1, -2)
 
 
 class _Head(DistributionalQValueModule):
