@@ -82,7 +82,7 @@ class SimulationRollout:
         simulation, count = self.simulation, members * trials
         live = np.arange(count)
         seeds = np.tile(self.seeds.numpy(), members)
-        observation = torch.from_numpy(simulation.reset(live, seeds).astype(np.float32))
+        observation = simulation.reset(live, seeds).astype(np.float32)
         returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
         finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
         limit = self.evaluator.max_steps
@@ -94,7 +94,7 @@ class SimulationRollout:
             action, is_number = self._act(observation, slots)
             finite[live] &= is_number[rows]
             result = simulation.step(action[rows], live)
-            observation[live] = torch.from_numpy(result.observation.astype(np.float32))
+            observation[live] = result.observation
             # Through float32, as an environment's rewards are.
             returns[live] += result.reward.astype(np.float32)
             steps[live] += 1
@@ -112,13 +112,13 @@ class SimulationRollout:
             self.scores.set_(name, shaped.to(self.scores[name].dtype))
 
     def _act(
-        self, observation: torch.Tensor, slots: np.ndarray
+        self, observation: np.ndarray, slots: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Actions and whether they are numbers, of the worlds in the slots, ``[R]``."""
-        chosen = observation[torch.from_numpy(slots)]
+        chosen = torch.from_numpy(observation[slots])
         inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
         action, finite = self.population.actions(inputs)
-        return action.flatten(0, 1).numpy(), finite.reshape(-1).numpy()
+        return action.flatten(0, 1).numpy(), finite.flatten().numpy()
 
     def _blocks(
         self, live: np.ndarray, trials: int, slots: np.ndarray | None

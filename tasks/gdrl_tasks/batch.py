@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from gdrl_tasks.kernels import state_is_sane
+from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.seeds import Stream, episode_seeds
 from gdrl_tasks.shard import Shard
@@ -160,22 +160,22 @@ class BatchSimulation:
         ids = self._checked_ids(ids)
         action = self.task.spec.checked_action(action, len(ids))
         finite = np.isfinite(action) if action.ndim == 1 else np.isfinite(action).all(1)
-        healthy = finite & state_is_sane(self.qpos[ids], self.qvel[ids])
+        healthy = finite & rows_are_sane(ids, self.qpos, self.qvel)
         runnable = ids if healthy.all() else ids[healthy]
         self.task.set_action(self.arrays, runnable, action[healthy])
-        before = self._count_warnings(ids)
+        diverged = ~healthy
         with quiet_engine():
-            self._advance(runnable)
-        diverged = ~healthy | ~state_is_sane(self.qpos[ids], self.qvel[ids])
-        diverged |= self._count_warnings(ids) > before
+            diverged[healthy] = self._advance(runnable)
         outcome_before = self.arrays["outcome"][ids]
-        reward = self.task.finish_step(self.arrays, ids, self.qpos[ids], diverged)
+        qpos = self.qpos[ids]
+        reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
+        observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
         if diverged.any():
             self._report(ids[diverged & (outcome_before == Outcome.RUNNING)])
         truncated = (outcome == Outcome.TIMEOUT) & self.task.truncates_at_limit
         terminated = (outcome != Outcome.RUNNING) & ~truncated
-        return StepResult(self.observe(ids), reward, terminated, truncated, outcome)
+        return StepResult(observation, reward, terminated, truncated, outcome)
 
     def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
         """Flat observations of worlds, ``[K, D]``."""
@@ -243,16 +243,19 @@ class BatchSimulation:
             for begin, end, low in zip(cuts[:-1], cuts[1:], self._bounds, strict=False)
         ]
 
-    def _advance(self, ids: WorldIndex) -> None:
+    def _advance(self, ids: WorldIndex) -> np.ndarray:
+        """Step worlds; mask of those that diverged, ``[K]``."""
+        if len(self._shards) == 1:
+            return self._shards[0].advance(ids)
         parts = self._split(ids)
         waiting = [
             self._pool.submit(shard.advance, own)
             for shard, own in zip(self._shards[1:], parts[1:], strict=True)
             if self._pool is not None
         ]
-        self._shards[0].advance(parts[0])
-        for future in waiting:
-            future.result()
+        diverged = [self._shards[0].advance(parts[0])]
+        diverged += [future.result() for future in waiting]
+        return np.concatenate(diverged)
 
     def _checked_ids(self, ids: Any) -> np.ndarray:
         if ids is None:
@@ -264,15 +267,13 @@ class BatchSimulation:
             raise ValueError(
                 f"ids of shape {ids.shape} and type {ids.dtype} must be integers [K]"
             )
+        ids = ids.astype(np.int64, copy=False)
+        if are_rows(ids, self.num_worlds):
+            return ids
         if ids.min() < 0 or ids.max() >= self.num_worlds:
             worst = ids.min() if ids.min() < 0 else ids.max()
             raise ValueError(f"ids={worst} must be in [0, {self.num_worlds})")
-        if (ids[1:] <= ids[:-1]).any():
-            raise ValueError(f"ids={ids.tolist()} must be ascending, each once")
-        return ids.astype(np.int64, copy=False)
-
-    def _count_warnings(self, ids: WorldIndex) -> np.ndarray:
-        return np.concatenate([shard.count_warnings() for shard in self._shards])[ids]
+        raise ValueError(f"ids={ids.tolist()} must be ascending, each once")
 
     def _report(self, ids: WorldIndex) -> None:
         for world in ids:

@@ -44,15 +44,45 @@ def all_choices(action: np.ndarray, count: int) -> bool:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def state_is_sane(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Mask of worlds whose state ``[K, N]`` is to be believed, ``[K]``."""
-    sane = np.ones(len(qpos), dtype=np.bool_)
-    for k in range(len(qpos)):
-        for value in qpos[k]:
+def are_rows(ids: np.ndarray, count: int) -> bool:
+    """Whether ``ids`` ``[K]`` are rows of ``count`` in ascending order, each once."""
+    last = -1
+    for row in ids:
+        if row <= last:
+            return False
+        last = row
+    return last < count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def rows_are_sane(ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Mask of worlds ``ids`` ``[K]`` whose state ``[W, N]`` is to be believed, ``[K]``."""
+    sane = np.ones(len(ids), dtype=np.bool_)
+    for k in range(len(ids)):
+        for value in qpos[ids[k]]:
             sane[k] &= abs(value) < LARGEST_STATE
-        for value in qvel[k]:
+        for value in qvel[ids[k]]:
             sane[k] &= abs(value) < LARGEST_STATE
     return sane
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def newly_warned(
+    ids: np.ndarray, warnings: np.ndarray, kinds: np.ndarray, known: np.ndarray
+) -> np.ndarray:
+    """Mask of worlds ``ids`` of which the engine has warned more than is known, ``[K]``.
+
+    ``warnings`` ``[W, C, 2]`` are the engine's, of which the ``kinds`` count; ``known``
+    ``[W]`` is brought up to date.
+    """
+    warned = np.zeros(len(ids), dtype=np.bool_)
+    for k in range(len(ids)):
+        count = 0
+        for kind in kinds:
+            count += warnings[ids[k], kind, 1]
+        warned[k] = count > known[ids[k]]
+        known[ids[k]] = count
+    return warned
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from gdrl_tasks.kernels import newly_warned, rows_are_sane
 from gdrl_tasks.task import NavigationTask, WorldArrays, WorldIndex
 
-_DIVERGENCE_WARNINGS = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-]
+_DIVERGENCE_WARNINGS = np.array(
+    [
+        int(mujoco.mjtWarning.mjWARN_BADQPOS),
+        int(mujoco.mjtWarning.mjWARN_BADQVEL),
+        int(mujoco.mjtWarning.mjWARN_BADQACC),
+    ]
+)
 
 
 class Shard:
@@ -49,21 +52,28 @@ class Shard:
         self._time = self.batch.bind("time")
         self._xfrc = self.batch.bind("xfrc_applied")
         self._control = self.batch.bind("ctrl") if model.nu else None
+        self._warnings = np.zeros(len(qpos), dtype=np.int64)
         self._fields = {name: self.batch.expand(name) for name in task.model_fields}
 
     def reset(self, ids: WorldIndex) -> None:
         """Reset the engine of worlds, numbered within the shard."""
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._warnings[ids] = 0
 
     def write_model(self, ids: WorldIndex) -> None:
         """Write the fields of the model that differ by world."""
         if self._fields and len(ids):
             self.task.write_model_fields(self._fields, self.arrays, ids)
 
-    def advance(self, ids: WorldIndex) -> None:
-        """Step worlds, numbered within the shard, through a control interval."""
+    def advance(self, ids: WorldIndex) -> np.ndarray:
+        """Step worlds, numbered within the shard, through a control interval.
+
+        Returns:
+            Mask of those that diverged: their states are not to be believed, or the
+            engine has warned of them. ``[K]``
+        """
         if len(ids) == 0:
-            return
+            return np.zeros(0, dtype=bool)
         substeps = self.task.spec.num_substeps
         self._engine_qpos[...], self._engine_qvel[...] = self._qpos, self._qvel
         if self._control is not None:
@@ -82,7 +92,6 @@ class Shard:
         else:
             self.batch.step(ids, substeps)
         self._qpos[...], self._qvel[...] = self._engine_qpos, self._engine_qvel
-
-    def count_warnings(self) -> np.ndarray:
-        """Warnings of divergence so far, per world of the shard."""
-        return self.batch.warning[:, _DIVERGENCE_WARNINGS, 1].sum(axis=1)
+        sane = rows_are_sane(ids, self._qpos, self._qvel)
+        warnings = self.batch.warning
+        return newly_warned(ids, warnings, _DIVERGENCE_WARNINGS, self._warnings) | ~sane

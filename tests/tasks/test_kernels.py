@@ -194,16 +194,41 @@ def test_a_heading_is_where_the_body_looks(quaternion):
 def test_a_state_with_one_bad_number_is_not_sane(bad, velocity):
     qpos, qvel = np.zeros((6, 9)), np.zeros((6, 8))
     qpos[:], qvel[:] = 9e5, -9e5
-    assert kernels.state_is_sane(qpos, qvel).all()
+    some = np.array([0, 1, 4, 5])
+    assert kernels.rows_are_sane(some, qpos, qvel).all()
     assert kernels.all_sane(qpos, qvel)
     assert kernels.all_sane(qpos[0], qvel[0])
     for world, column in ((0, 0), (2, 5), (5, 7)):
         (qvel if velocity else qpos)[world, column] = bad
-    sane = kernels.state_is_sane(qpos, qvel)
+    assert kernels.rows_are_sane(some, qpos, qvel).tolist() == [False, True, True, False]
+    sane = kernels.rows_are_sane(np.arange(6), qpos, qvel)
     assert sane.tolist() == [False, True, False, True, True, False]
     assert not kernels.all_sane(qpos, qvel)
     for world, is_sane in enumerate(sane):
         assert kernels.all_sane(qpos[world], qvel[world]) == is_sane
+
+
+@given(ids=st.lists(st.integers(-2, 6), min_size=1, max_size=5))
+def test_rows_are_ascending_and_in_range(ids):
+    expected = ids == sorted(set(ids)) and set(ids) <= set(range(5))
+    assert kernels.are_rows(np.array(ids), 5) == expected
+
+
+def test_a_warning_counts_once_for_the_worlds_asked_about_and_for_kinds_that_count():
+    warnings, known = np.zeros((4, 8, 2), dtype=np.int32), np.zeros(4, dtype=np.int64)
+    kinds, some = np.array([2, 5]), np.array([0, 1, 3])
+    warnings[1, 5, 1], warnings[2, 5, 1], warnings[3, 4, 1] = 1, 1, 1
+    warnings[0, 2, 0] = 1  # where it was, not how often
+
+    def ask():
+        return kernels.newly_warned(some, warnings, kinds, known).tolist()
+
+    assert ask() == [False, True, False]
+    assert ask() == [False, False, False]
+    warnings[1, 5, 1] += 1
+    warnings[0, 2, 1] += 3
+    assert ask() == [True, True, False]
+    assert known.tolist() == [3, 2, 0, 0]
 
 
 @given(values=arrays(float, (WORLDS, 3), elements=st.floats(allow_nan=False)))
