@@ -14,6 +14,7 @@ from gdrl_tasks import task_names
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.evolution import EVOLUTIONS
+from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.config.toy import as_toy
 from gdrl_torchrl.plugins import conf_packages
@@ -33,6 +34,7 @@ def register_configs() -> None:
     add("experiment_config", schema.ExperimentConfig)
     for name, node in algorithm_configs().items():
         add(f"{name}_config", node, "algorithm")
+    add("search_config", SearchConfig, "search")
     add("network_config", schema.NetworkConfig, "network")
     for name, node in EVOLUTIONS.items():
         add(f"{name}_config", node, "evolution")

@@ -1,0 +1,283 @@
+"""``gdrl-search +search=<name> ...``: look for good settings, with Optuna.
+
+Started again it goes on; several processes may work at one search at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import fcntl
+import hashlib
+import json
+import logging
+import statistics
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_module
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import IntervalSweep, Override, Transformer
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from gdrl_torchrl.cli.compose import (
+    CONFIG_MODULE,
+    load_experiment,
+    register_configs,
+    search_path,
+)
+from gdrl_torchrl.config.search import SearchConfig
+
+_logger = logging.getLogger(__name__)
+_USAGE = "usage: gdrl-search +search=<name> [search.<option>=<value> ...] [<override> ...]"
+_ERROR = "error"
+
+
+def load_search(arguments: list[str]) -> SearchConfig:
+    """Compose a search; overrides that are not its own become those of its runs.
+
+    Raises:
+        ValueError: If no search is named, or a value or an override is not valid.
+
+    Examples:
+        >>> search = load_search(["+search=gppo_water", "search.num_trials=3", "seed=1"])
+        >>> search.num_trials, search.overrides
+        (3, ['experiment=gppo_water', 'seed=1'])
+    """
+    named = [a.removeprefix("+search=") for a in arguments if a.startswith("+search=")]
+    if len(named) != 1:
+        raise ValueError(_USAGE)
+    others = [a for a in arguments if not a.startswith("+search=")]
+    own = [a for a in others if a.startswith("search.")]
+    register_configs()
+    try:
+        with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
+            config = compose(f"search/{named[0]}", overrides=[*search_path(), *own])
+        search = OmegaConf.to_object(config.search)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ValueError(f"{error}\n{_USAGE}") from error
+    assert isinstance(search, SearchConfig)
+    search.overrides += [a for a in others if not a.startswith("search.")]
+    return search
+
+
+class Search:
+    """Trials of one search, remembered in the folder of its runs.
+
+    Args:
+        config: The search.
+        run: Brings a run to its end and returns its directory.
+
+    Raises:
+        ValueError: If a parameter has nothing to choose from, a run cannot be composed,
+            or is one of toy size.
+    """
+
+    def __init__(self, config: SearchConfig, run: Callable[[Any], Path]) -> None:
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.config, self.run = config, run
+        texts = [f"{name}={choices}" for name, choices in config.params.items()]
+        self.params = OverridesParser.create().parse_overrides(texts)
+        for param in self.params:
+            if not param.is_sweep_override():
+                text = f"search.params: {param.input_line} has nothing to choose from"
+                raise ValueError(text)
+        example = self._experiment([], config.seeds[0], config.total_steps[0])
+        if example.toy:
+            text = "toy=true takes sizes of its own, whatever a trial has chosen"
+            raise ValueError(text)
+        self.folder = Path(example.runs_dir) / config.name
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.study = optuna.create_study(
+            study_name=_study_name(config),
+            storage=_storage(config.storage, self.folder),
+            direction="maximize",
+            pruner=optuna.pruners.MedianPruner(),
+            load_if_exists=True,
+        )
+
+    def optimize(self) -> None:
+        """Run trials until there are enough."""
+        import optuna
+
+        self._take_up_abandoned()
+        while len(self.finished()) < self.config.num_trials:
+            # The numbers drawn before a restart must not be drawn again.
+            seed = self.config.sampler_seed + len(self.study.trials)
+            self.study.sampler = optuna.samplers.TPESampler(seed=seed)
+            trial = self.study.ask()
+            with self._locked(trial.number):
+                self._try(trial)
+
+    def finished(self) -> list[Any]:
+        """Trials that have ended, by an error too, but not by a signal."""
+        return [
+            trial
+            for trial in self.study.get_trials(deepcopy=False)
+            if trial.state.is_finished() and (trial.value is not None or _error_of(trial))
+        ]
+
+    def best(self) -> Any:
+        """The best trial with the largest budget, or None."""
+        complete = [t for t in self.finished() if t.state.name == "COMPLETE"]
+        return max(complete, key=lambda trial: trial.value, default=None)
+
+    def _try(self, trial: Any) -> None:
+        from optuna.trial import TrialState
+
+        from gdrl_torchrl.training.run import InterruptedRunError
+
+        chosen = [_suggest(trial, param) for param in self.params]
+        trial.set_user_attr("overrides", chosen)
+        try:
+            value, pruned = self._value(trial, chosen)
+        except InterruptedRunError:
+            raise
+        except Exception as error:  # of this trial alone
+            trial.set_user_attr(_ERROR, f"{type(error).__name__}: {error}")
+            self.study.tell(trial, state=TrialState.FAIL)
+            _logger.warning("trial %d: %s: %s", trial.number, " ".join(chosen), error)
+            return
+        state = TrialState.PRUNED if pruned else TrialState.COMPLETE
+        # Optuna takes a pruned trial's value from its reports.
+        self.study.tell(trial, None if pruned else value, state)
+        word = "ended early" if pruned else "done"
+        _logger.warning("trial %d %s: %.3f %s", trial.number, word, value, " ".join(chosen))
+
+    def _value(self, trial: Any, chosen: list[str]) -> tuple[float, bool]:
+        """Mean success rate, and whether the trial was ended before its last budget."""
+        budgets, value = self.config.total_steps, 0.0
+        for budget in budgets:
+            rates = []
+            for seed in self.config.seeds:
+                # A run with a larger budget goes on where it was.
+                path = self.run(self._experiment(chosen, seed, budget))
+                evaluation = json.loads((path / "evaluation.json").read_text())
+                rates.append(evaluation["success_rate"])
+            value = statistics.fmean(rates)
+            trial.report(value, budget)
+            if budget != budgets[-1] and trial.should_prune():
+                return value, True
+        return value, False
+
+    def _experiment(self, chosen: list[str], seed: int, budget: int) -> Any:
+        config = self.config
+        return load_experiment(
+            [
+                *config.overrides,
+                *chosen,
+                f"name={config.name}",
+                f"seed={seed}",
+                "budget.agent_steps=null",
+                "budget.wall_s=null",
+                f"budget.total_steps={budget}",
+                f"evaluation.seed={config.evaluation_seed}",
+                f"evaluation.episodes={config.episodes}",
+                "logger.tensorboard=false",
+                "logger.video_episodes=0",
+            ]
+        )
+
+    def _take_up_abandoned(self) -> None:
+        """Queue the trials again whose process is no more; their runs will go on."""
+        from optuna.trial import TrialState
+
+        for trial in self.study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            with contextlib.suppress(BlockingIOError), self._locked(trial.number):
+                self.study.enqueue_trial(trial.params)
+                self.study.tell(trial.number, state=TrialState.FAIL)
+
+    @contextlib.contextmanager
+    def _locked(self, number: int) -> Iterator[None]:
+        path = self.folder / f".trial_{number}.lock"
+        with open(path, "w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        path.unlink(missing_ok=True)
+
+
+def _suggest(trial: Any, param: Override) -> str:
+    """The override that a trial chooses; ``choice`` and ``range`` have no order."""
+    name, values = param.get_key_element(), param.value()
+    if not isinstance(values, IntervalSweep):
+        iterator = param.sweep_iterator(transformer=Transformer.encode)
+        return f"{name}={trial.suggest_categorical(name, list(map(str, iterator)))}"
+    low, high = values.start, values.end
+    suggest = trial.suggest_int if isinstance(low, int) else trial.suggest_float
+    return f"{name}={suggest(name, low, high, log='log' in values.tags):.4g}"
+
+
+def _study_name(config: SearchConfig) -> str:
+    """Another question is another study, though it has the same name."""
+    question = dataclasses.asdict(config)
+    for name in ("num_trials", "storage", "sampler_seed"):
+        del question[name]
+    digest = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()
+    return f"{config.name}-{digest[:8]}"
+
+
+def _storage(kind: str, folder: Path) -> Any:
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    if kind == "sqlite":
+        return f"sqlite:///{(folder / 'search.sqlite').absolute()}"
+    return JournalStorage(JournalFileBackend(str(folder / "search.journal")))
+
+
+def _error_of(trial: Any) -> str | None:
+    return trial.user_attrs.get(_ERROR)
+
+
+def search_table(search: Search) -> str:
+    """The finished trials, the best first: value, state, number, overrides."""
+    trials = sorted(search.finished(), key=lambda trial: -(trial.value or 0.0))
+    lines = []
+    for trial in trials:
+        value = "  -  " if trial.value is None else f"{trial.value:.3f}"
+        chosen = " ".join(trial.user_attrs["overrides"])
+        lines.append(f"{value}  {trial.state.name.lower():8}  {trial.number:4}  {chosen}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Entry point of ``gdrl-search``."""
+    logging.basicConfig(format="%(message)s", level=logging.WARNING)
+    try:
+        config = load_search(sys.argv[1:])
+        import optuna  # noqa: F401 - said before anything is loaded that takes long
+    except ImportError:
+        sys.exit("error: gdrl-search needs Optuna: pip install 'gdrl_torchrl[search]'")
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    # Imported here so that a wrong argument is answered without them.
+    from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
+
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    try:
+        search = Search(config, run_experiment)
+        search.optimize()
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    except InterruptedRunError as stop:
+        print(stop, file=sys.stderr)
+        sys.exit(128 + stop.signal)
+    print(search_table(search))
+    best = search.best()
+    if best is not None:
+        print("gdrl-train", *config.overrides, *best.user_attrs["overrides"])
+    failed = [trial for trial in search.finished() if _error_of(trial)]
+    if failed:
+        sys.exit(
+            f"error: {len(failed)} trials failed, the last one: {_error_of(failed[-1])}"
+        )
+
+
+if __name__ == "__main__":
+    main()

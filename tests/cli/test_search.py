@@ -1,0 +1,269 @@
+"""Searches: what they try, when they give up on it, and how they go on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sysconfig
+import threading
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.cli.search import Search, load_search, search_table
+from gdrl_torchrl.config.search import SearchConfig
+from gdrl_torchrl.training.run import InterruptedRunError
+
+SCRIPTS = Path(sysconfig.get_path("scripts"))
+SEARCHES = sorted(
+    entry.name.removesuffix(".yaml")
+    for entry in resources.files("gdrl_torchrl.conf").joinpath("search").iterdir()
+)
+BEST_MUT_V = 0.2
+
+
+class FakeRuns:
+    """Runs of no cost whose success falls off with the distance to a best value."""
+
+    def __init__(self, folder, *, fail_at=None, stop_at=None, rate=None):
+        self.folder, self.fail_at, self.stop_at = folder, fail_at, stop_at
+        self.experiments = []
+        self.rate = rate or self.of_mutation
+
+    @staticmethod
+    def of_mutation(experiment):
+        return 1.0 - abs(experiment.evolution.mut_v - BEST_MUT_V) - 0.01 * experiment.seed
+
+    def __call__(self, experiment):
+        self.experiments.append(experiment)
+        number = len(self.experiments)
+        if number == self.stop_at:
+            raise InterruptedRunError(signal.SIGTERM, self.folder)
+        if number == self.fail_at:
+            raise FloatingPointError("the loss is not a number")
+        path = self.folder / f"run_{number}"
+        path.mkdir(parents=True)
+        record = {"success_rate": self.rate(experiment)}
+        (path / "evaluation.json").write_text(json.dumps(record))
+        return path
+
+
+def config_of(folder, **options):
+    defaults = {
+        "overrides": ["experiment=gppo_water", f"runs_dir={folder}"],
+        "params": {"evolution.mut_v": "interval(0.01, 1.0)"},
+        "num_trials": 6,
+        "total_steps": [1000],
+    }
+    return SearchConfig(**(defaults | options))
+
+
+def search_of(tmp_path, runs=None, **options):
+    runs = runs or FakeRuns(tmp_path / "fake")
+    search = Search(config_of(tmp_path / "runs", **options), runs)
+    return search, runs
+
+
+@pytest.mark.parametrize("storage", ["journal", "sqlite"])
+def test_the_best_trial_is_the_one_with_the_highest_mean_over_seeds(tmp_path, storage):
+    search, runs = search_of(tmp_path, seeds=[0, 3], storage=storage)
+    search.optimize()
+    values = [experiment.evolution.mut_v for experiment in runs.experiments]
+    assert values[::2] == values[1::2]
+    assert [experiment.seed for experiment in runs.experiments] == [0, 3] * 6
+    nearest = min(values, key=lambda value: abs(value - BEST_MUT_V))
+    best = search.best()
+    assert best.user_attrs["overrides"] == [f"evolution.mut_v={nearest:.4g}"]
+    expected = 1.0 - abs(nearest - BEST_MUT_V) - 0.015
+    assert best.value == pytest.approx(expected, abs=1e-4)
+    assert search_table(search).splitlines()[0].startswith(f"{best.value:.3f}  complete")
+
+
+def test_trials_differ_and_come_nearer_than_chance(tmp_path):
+    search, runs = search_of(tmp_path, num_trials=24)
+    search.optimize()
+    values = [experiment.evolution.mut_v for experiment in runs.experiments]
+    assert len(set(values)) == 24
+    # Of uniform draws a tenth would be as near.
+    assert sum(abs(value - BEST_MUT_V) < 0.05 for value in values[12:]) > 3
+
+
+def test_a_bad_trial_ends_early_and_a_good_one_gets_every_budget(tmp_path):
+    search, runs = search_of(tmp_path, num_trials=12, total_steps=[1000, 2000, 3000])
+    search.optimize()
+    budgets = {}
+    for experiment in runs.experiments:
+        value = experiment.evolution.mut_v
+        budgets.setdefault(value, []).append(experiment.budget.total_steps)
+    assert all(found == [1000, 2000, 3000][: len(found)] for found in budgets.values())
+    states = [trial.state.name for trial in search.finished()]
+    assert states.count("PRUNED") == sum(len(found) < 3 for found in budgets.values()) > 0
+    best = max(budgets, key=lambda value: -abs(value - BEST_MUT_V))
+    assert budgets[best] == [1000, 2000, 3000]
+    # The first five are never ended: there is no median to be worse than.
+    assert all(len(found) == 3 for found in list(budgets.values())[:5])
+
+
+def test_worlds_that_decide_are_not_those_of_reports(tmp_path):
+    search, runs = search_of(tmp_path, num_trials=1)
+    search.optimize()
+    (experiment,) = runs.experiments
+    assert experiment.evaluation.seed != load_experiment([]).evaluation.seed
+    assert experiment.evaluation.episodes == 200
+    assert experiment.budget.agent_steps is None
+
+
+def test_choices_ranges_and_whole_numbers_stay_what_they_are(tmp_path):
+    params = {
+        "evolution.num_children": "choice(5, 10)",
+        "evolution.num_trials": "range(2, 8, step=3)",
+        "evolution.period_episodes": "int(interval(5, 50))",
+        "evolution.mut_v": "tag(log, interval(0.001, 1.0))",
+    }
+    runs = FakeRuns(tmp_path / "fake", rate=lambda experiment: 0.5)
+    search, runs = search_of(tmp_path, runs, params=params, num_trials=16)
+    search.optimize()
+    evolutions = [experiment.evolution for experiment in runs.experiments]
+    assert {e.num_children for e in evolutions} == {5, 10}
+    assert {e.num_trials for e in evolutions} == {2, 5}
+    assert all(5 <= e.period_episodes <= 50 for e in evolutions)
+    # Half of logarithmic draws are below the middle of the exponents.
+    assert 2 < sum(e.mut_v < 0.0316 for e in evolutions) < 14
+
+
+def test_an_interrupted_search_goes_on_with_the_trial_that_was_running(tmp_path):
+    options = {"num_trials": 4, "total_steps": [1000, 2000]}
+    stopped = FakeRuns(tmp_path / "first", stop_at=4)
+    search, _ = search_of(tmp_path, stopped, **options)
+    with pytest.raises(InterruptedRunError):
+        search.optimize()
+    assert len(search.finished()) == 1
+
+    again, runs = search_of(tmp_path, FakeRuns(tmp_path / "second"), **options)
+    again.optimize()
+    assert len(again.finished()) == 4
+    interrupted = stopped.experiments[-1].evolution.mut_v
+    assert runs.experiments[0].evolution.mut_v == interrupted
+    values = [experiment.evolution.mut_v for experiment in runs.experiments]
+    assert stopped.experiments[0].evolution.mut_v not in values
+    again.optimize()
+    assert len(runs.experiments) == len(values), "there is nothing left to do"
+
+
+def test_the_running_trial_of_another_process_is_left_alone(tmp_path):
+    began, may_end = threading.Event(), threading.Event()
+
+    def wait(experiment):
+        began.set()
+        assert may_end.wait(60)
+        return 0.5
+
+    first, _ = search_of(tmp_path, FakeRuns(tmp_path / "a", rate=wait), num_trials=2)
+    worker = threading.Thread(target=first.optimize)
+    worker.start()
+    assert began.wait(60)
+    second, runs = search_of(tmp_path, FakeRuns(tmp_path / "b"), num_trials=2)
+    second.optimize()
+    may_end.set()
+    worker.join(60)
+    states = [trial.state.name for trial in second.study.get_trials()]
+    assert states == ["COMPLETE"] * 3
+    assert len(runs.experiments) == 2
+
+
+def test_a_trial_that_fails_does_not_end_the_search(tmp_path):
+    search, _ = search_of(tmp_path, FakeRuns(tmp_path / "fake", fail_at=2), num_trials=3)
+    search.optimize()
+    states = [trial.state.name for trial in search.finished()]
+    assert states == ["COMPLETE", "FAIL", "COMPLETE"]
+    assert "FloatingPointError" in search.finished()[1].user_attrs["error"]
+    assert search.best().state.name == "COMPLETE"
+
+
+def test_another_question_begins_anew_and_more_trials_do_not(tmp_path):
+    search, _ = search_of(tmp_path, FakeRuns(tmp_path / "a"), num_trials=2)
+    search.optimize()
+    more, runs = search_of(tmp_path, FakeRuns(tmp_path / "b"), num_trials=3)
+    more.optimize()
+    assert len(runs.experiments) == 1
+    other, _ = search_of(tmp_path, FakeRuns(tmp_path / "c"), seeds=[1])
+    assert other.finished() == []
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_every_search_can_run_its_first_and_last_values(name):
+    search = load_search([f"+search={name}"])
+    assert search.name == f"search_{name}"
+    assert search.overrides
+    for end in (0, -1):
+        chosen = []
+        for param, choices in search.params.items():
+            values = choices.rpartition("(")[2].strip(")").split(",")
+            chosen.append(f"{param}={values[end].strip()}")
+        load_experiment([*search.overrides, *chosen])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "usage"),
+        (["+search=nothing"], "nothing"),
+        (["+search=gppo_water", "search.num_trials=0"], "num_trials=0"),
+        (["+search=gppo_water", "search.storage=redis"], "storage='redis'"),
+        (["+search=gppo_water", "search.total_steps=[2,1]"], "ascending"),
+        (["+search=gppo_water", "search.params=null"], "params"),
+        (["+search=gppo_water", "search.unknown=1"], "unknown"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        load_search(arguments)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"params": {"evolution.mut_v": "0.1"}}, "nothing to choose from"),
+        ({"overrides": ["experiment=nothing"]}, "nothing"),
+        ({"overrides": ["toy=true"]}, "toy=true"),
+    ],
+)
+def test_a_search_that_cannot_work_is_refused_before_its_first_trial(
+    tmp_path, options, message
+):
+    with pytest.raises(Exception, match=message):
+        search_of(tmp_path, **options)
+
+
+@pytest.mark.slow
+def test_the_command_trains_and_prints_the_best_overrides_last(tmp_path):
+    command = [
+        SCRIPTS / "gdrl-search",
+        "+search=gppo_water",
+        "search.num_trials=2",
+        "search.total_steps=[1000,5000]",
+        "search.episodes=2",
+        "search.seeds=[0]",
+        "task.step_limit=60",
+        "algorithm.frames_per_batch=512",
+        "algorithm.num_epochs=1",
+        f"runs_dir={tmp_path}",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    *table, best = done.stdout.strip().splitlines()
+    assert len(table) == 2
+    assert best.startswith("gdrl-train experiment=gppo_water task.step_limit=60")
+    found = load_experiment(best.split()[1:])
+    evaluations = list(tmp_path.rglob("evaluation.json"))
+    assert len(evaluations) == 2
+    records = [json.loads(path.read_text()) for path in evaluations]
+    assert all(record["total_steps"] >= 5000 for record in records)
+    configs = [
+        json.loads((path.parent / "config.json").read_text()) for path in evaluations
+    ]
+    assert dataclasses.asdict(found.evolution) in [c["evolution"] for c in configs]
