@@ -41,7 +41,8 @@ class EvolutionConfig:
     fitness: str = "goals"
     contest: str = "full"
     """``full``: all over the same episodes, the best wins; ``paired``: a child must win
-    a test against the agent."""
+    a test against the agent; ``copies``: none, the agent alone plays as many episodes as
+    its population would, and stays."""
     screening_trials: int = 3
     """With ``contest=paired``: episodes of a round, after which half the children go."""
     test_trials: int = 10
@@ -84,7 +85,7 @@ class EvolutionConfig:
         check_range("evolution.own_share", self.own_share, least=0.0, below=1.0)
         check_range("evolution.level", self.level, above=0.0, below=1.0)
         check_choice("evolution.crossover", self.crossover, crossovers())
-        check_choice("evolution.contest", self.contest, ("full", "paired"))
+        check_choice("evolution.contest", self.contest, ("full", "paired", "copies"))
         check_choice("evolution.share_on", self.share_on, ("switch", "always"))
         if self.num_worlds is not None:
             check_range("evolution.num_worlds", self.num_worlds, least=1)

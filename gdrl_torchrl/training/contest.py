@@ -130,6 +130,49 @@ class PairedContest:
         return PARENT
 
 
+class CopiesContest:
+    """No contest: copies of the agent play as much as a population would.
+
+    Each copy has episodes of its own, so that no experience is had twice; the agent
+    stays what it is. What a population costs and shares, without a population.
+    """
+
+    def __call__(
+        self,
+        evaluator: PopulationEvaluator,
+        population: TensorDictBase,
+        *,
+        generator: torch.Generator,
+        keep_transitions: bool = False,
+    ) -> Verdict:
+        """Let the agent play, whatever the other members are.
+
+        Raises:
+            ValueError: If the evaluator's fitness is a function.
+        """
+        if evaluator.fitness not in ("goals", "return"):
+            raise ValueError(
+                f"fitness={evaluator.fitness!r} must be 'goals' or 'return' for copies"
+            )
+        count, trials = population.batch_size[0], evaluator.num_episodes
+        seeds = evaluator.fresh_seeds(count * trials)
+        alone = population[PARENT : PARENT + 1]
+        scores, transitions = _scored(evaluator, alone, seeds, keep_transitions)
+        successes, returns, steps = (
+            scores[key].reshape(count, trials)
+            for key in (keys.SUCCESSES, keys.RETURNS, keys.STEPS)
+        )
+        goals = evaluator.fitness == "goals"
+        fitness = successes.sum(dim=1).float() if goals else returns.mean(dim=1)
+        entries = {
+            keys.FITNESS: fitness.masked_fill(torch.isnan(scores[keys.FITNESS]), torch.nan),
+            keys.SUCCESS_RATE: successes.float().mean(dim=1),
+            keys.RETURN_MEAN: returns.mean(dim=1),
+            keys.FRAMES: steps.sum(dim=1),
+        }
+        return Verdict(TensorDict(entries, batch_size=[count]), PARENT, transitions)
+
+
 class _Tally:
     """Episodes of members that play different numbers of them."""
 

@@ -22,7 +22,12 @@ from gdrl_torchrl.evolution.schedule import MutationSchedule
 from gdrl_torchrl.evolution.sensitivity import output_sensitivity
 from gdrl_torchrl.modules.outputs import outputs_of
 from gdrl_torchrl.training.agent import Agent, MakeActor
-from gdrl_torchrl.training.contest import Contest, FullContest, PairedContest
+from gdrl_torchrl.training.contest import (
+    Contest,
+    CopiesContest,
+    FullContest,
+    PairedContest,
+)
 from gdrl_torchrl.training.erl import ErlHook
 from gdrl_torchrl.training.genetic import GeneticHook
 from gdrl_torchrl.training.genetic_algorithm import GeneticAlgorithm
@@ -142,6 +147,8 @@ def _evaluator(
 def _contest(evolution: EvolutionConfig) -> Contest:
     if evolution.contest == "full":
         return FullContest(evolution.tie_rule)
+    if evolution.contest == "copies":
+        return CopiesContest()
     return PairedContest(
         HalvingPlan(
             screening_trials=evolution.screening_trials,

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.paired import HalvingPlan
-from gdrl_torchrl.training.contest import FullContest, PairedContest
+from gdrl_torchrl.training.contest import CopiesContest, FullContest, PairedContest
 
 STEPS = 100
 
@@ -48,6 +48,7 @@ class CoinEvaluator:
             {
                 keys.SUCCESSES: successes,
                 keys.RETURNS: returns,
+                keys.STEPS: torch.full((len(members), len(seeds)), STEPS),
                 keys.RETURN_MEAN: returns.mean(dim=1),
                 keys.SUCCESS_RATE: successes.float().mean(dim=1),
                 keys.FRAMES: torch.full((len(members),), STEPS * len(seeds)),
@@ -145,3 +146,30 @@ def test_a_fitness_that_is_a_function_cannot_be_tested():
     evaluator = CoinEvaluator(0.0, 1.0, fitness=lambda result: result["x"])
     with pytest.raises(ValueError, match="fitness"):
         contest(evaluator)
+
+
+def test_copies_play_as_much_as_a_population_over_episodes_of_their_own():
+    evaluator = CoinEvaluator(0.4, 1.0, 1.0)
+    population = evaluator.population()
+    verdict = CopiesContest()(evaluator, population, generator=torch.Generator())
+    assert verdict.winner == 0
+    assert evaluator.played == [([0], list(range(30)))]
+    assert verdict.scores[keys.FRAMES].tolist() == [10 * STEPS] * 3
+    full = CoinEvaluator(0.4, 1.0, 1.0)
+    other = FullContest()(full, full.population(), generator=torch.Generator())
+    assert verdict.scores[keys.FRAMES].sum() == other.scores[keys.FRAMES].sum()
+    assert set(verdict.scores.keys()) <= set(other.scores.keys())
+    # The better members are never asked.
+    assert (verdict.scores[keys.FITNESS] < 10).all()
+    rate = verdict.scores[keys.SUCCESS_RATE]
+    assert torch.equal(verdict.scores[keys.FITNESS], 10 * rate)
+
+
+def test_copies_of_a_broken_agent_have_no_fitness_and_functions_are_refused():
+    broken = CoinEvaluator(float("nan"), 1.0)
+    population = broken.population()
+    verdict = CopiesContest()(broken, population, generator=torch.Generator())
+    assert torch.isnan(verdict.scores[keys.FITNESS]).all()
+    odd = CoinEvaluator(0.5, fitness=lambda scores: scores)
+    with pytest.raises(ValueError, match="fitness"):
+        CopiesContest()(odd, odd.population(), generator=torch.Generator())
