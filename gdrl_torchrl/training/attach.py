@@ -10,7 +10,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.envs import EnvBase
-from torchrl.trainers.trainers import TrainerHookBase, UpdateWeights
+from torchrl.trainers.trainers import TrainerHookBase
 
 from gdrl_torchrl.config.checks import check_choice, check_range
 from gdrl_torchrl.evolution.mutation import mutations
@@ -131,10 +131,7 @@ class AttachedGeneticHook(TrainerHookBase):
             actor,
             self._make_evaluator(actor),
             on_switch=[lambda: move_target(loss, place, self._target_tau)],
-            on_evaluation=[
-                lambda found: update_collector(trainer) if found.switched else None,
-                *self._on_evaluation,
-            ],
+            on_evaluation=self._on_evaluation,
         )
         genetic.register(trainer, name)
         self.genetic = genetic
@@ -184,15 +181,3 @@ def move_target(loss: Any, name: str, tau: float) -> None:
     for key, source in getattr(loss, f"{name}_params").items(True, True):
         if isinstance(source, nn.Parameter):
             targets.get(key).lerp_(source, tau)
-
-
-def update_collector(trainer: Any) -> None:
-    """Let a trainer give its collector the policy's weights once more.
-
-    The collector's policy may be another instance, as in trainers that are made of
-    configurations, and the trainer updates it before the hook's turn.
-    """
-    for operation, options in trainer._post_steps_ops:
-        # TorchRL wraps what is registered to time it.
-        if isinstance(getattr(operation, "__wrapped__", operation), UpdateWeights):
-            operation(**options)

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.trainers.trainers import UpdateWeights
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.crossover import mean_crossover, no_crossover
@@ -211,8 +212,7 @@ class GeneticHook(PopulationHook):
         if self.own_share > 0.0:
             install(self.actor, mean_crossover(own, genome, share=self.own_share))
         if self._trainer is not None:
-            # Collectors in other processes hold copies of the weights.
-            self._trainer.collector.update_policy_weights_()
+            update_collector(self._trainer)
 
     def state_dict(self) -> dict[str, Any]:
         """Window, counters, generators and the observations kept."""
@@ -225,3 +225,22 @@ class GeneticHook(PopulationHook):
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
         self._observations = state_dict.get("observations")
+
+
+def update_collector(trainer: Any) -> None:
+    """Give a trainer's collector the weights of the policy, as after every batch.
+
+    Collectors in other processes hold copies, and those of trainers that are made of
+    configurations may hold another instance of the policy: only what the trainer itself
+    has registered for that knows how. It has had its turn when the hook has its own.
+    """
+    updates = [
+        (operation, options)
+        for operation, options in getattr(trainer, "_post_steps_ops", ())
+        # TorchRL wraps what is registered to time it.
+        if isinstance(getattr(operation, "__wrapped__", operation), UpdateWeights)
+    ]
+    for operation, options in updates:
+        operation(**options)
+    if not updates:
+        trainer.collector.update_policy_weights_()
