@@ -108,10 +108,10 @@ class Search:
 
         self._take_up_abandoned()
         while len(self.finished()) < self.config.num_trials:
-            # The numbers drawn before a restart must not be drawn again.
-            seed = self.config.sampler_seed + len(self.study.trials)
-            self.study.sampler = optuna.samplers.TPESampler(seed=seed)
             trial = self.study.ask()
+            # Neither another process nor a restart may draw the same numbers again.
+            seed = self.config.sampler_seed + trial.number
+            self.study.sampler = optuna.samplers.TPESampler(seed=seed)
             with self._locked(trial.number):
                 self._try(trial)
 
@@ -208,9 +208,10 @@ def _suggest(trial: Any, param: Override) -> str:
     if not isinstance(values, IntervalSweep):
         iterator = param.sweep_iterator(transformer=Transformer.encode)
         return f"{name}={trial.suggest_categorical(name, list(map(str, iterator)))}"
-    low, high = values.start, values.end
-    suggest = trial.suggest_int if isinstance(low, int) else trial.suggest_float
-    return f"{name}={suggest(name, low, high, log='log' in values.tags):.4g}"
+    low, high, log = values.start, values.end, "log" in values.tags
+    if isinstance(low, int):
+        return f"{name}={trial.suggest_int(name, low, high, log=log)}"
+    return f"{name}={trial.suggest_float(name, low, high, log=log):.4g}"
 
 
 def _study_name(config: SearchConfig) -> str:

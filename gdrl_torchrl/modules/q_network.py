@@ -122,9 +122,9 @@ class _DuelingNetwork(nn.Module):
 
     The equal layers of the streams are one product, and the mean over actions is taken
     of the last layer's weights, not of its values: for a population that is done once,
-    when its weights are given. TorchRL's ``DuelingMlpDQNet`` keeps the
-    actions side by side in memory; here the atoms are, and a softmax over them, here
-    and in the loss, takes half the time.
+    when its weights are given. TorchRL's ``DuelingMlpDQNet`` keeps the actions side by
+    side in memory; here the atoms are, and a softmax over them, here and in the loss,
+    takes half the time.
     """
 
     def __init__(self, features: MLP, *, advantage: MLP, value: MLP) -> None:

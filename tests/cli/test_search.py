@@ -121,7 +121,7 @@ def test_choices_ranges_and_whole_numbers_stay_what_they_are(tmp_path):
     params = {
         "evolution.num_children": "choice(5, 10)",
         "evolution.num_trials": "range(2, 8, step=3)",
-        "evolution.period_episodes": "int(interval(5, 50))",
+        "evolution.period_episodes": "int(interval(20000, 50000))",
         "evolution.mut_v": "tag(log, interval(0.001, 1.0))",
     }
     runs = FakeRuns(tmp_path / "fake", rate=lambda experiment: 0.5)
@@ -130,7 +130,8 @@ def test_choices_ranges_and_whole_numbers_stay_what_they_are(tmp_path):
     evolutions = [experiment.evolution for experiment in runs.experiments]
     assert {e.num_children for e in evolutions} == {5, 10}
     assert {e.num_trials for e in evolutions} == {2, 5}
-    assert all(5 <= e.period_episodes <= 50 for e in evolutions)
+    assert all(20_000 <= e.period_episodes <= 50_000 for e in evolutions)
+    assert any(e.period_episodes % 100 for e in evolutions)
     # Half of logarithmic draws are below the middle of the exponents.
     assert 2 < sum(e.mut_v < 0.0316 for e in evolutions) < 14
 
@@ -162,7 +163,7 @@ def test_the_running_trial_of_another_process_is_left_alone(tmp_path):
         assert may_end.wait(60)
         return 0.5
 
-    first, _ = search_of(tmp_path, FakeRuns(tmp_path / "a", rate=wait), num_trials=2)
+    first, waiting = search_of(tmp_path, FakeRuns(tmp_path / "a", rate=wait), num_trials=2)
     worker = threading.Thread(target=first.optimize)
     worker.start()
     assert began.wait(60)
@@ -173,6 +174,8 @@ def test_the_running_trial_of_another_process_is_left_alone(tmp_path):
     states = [trial.state.name for trial in second.study.get_trials()]
     assert states == ["COMPLETE"] * 3
     assert len(runs.experiments) == 2
+    tried = [e.evolution.mut_v for e in (*waiting.experiments, *runs.experiments)]
+    assert len(set(tried)) == 3
 
 
 def test_a_trial_that_fails_does_not_end_the_search(tmp_path):
