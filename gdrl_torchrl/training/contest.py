@@ -101,11 +101,7 @@ class PairedContest:
             ValueError: If the evaluator's fitness is a function: a test needs a value
                 per episode.
         """
-        if evaluator.fitness not in ("goals", "return"):
-            raise ValueError(
-                f"fitness={evaluator.fitness!r} must be 'goals' or 'return' for a paired "
-                "contest"
-            )
+        _check_fitness_of_episodes(evaluator)
         tally = _Tally(evaluator, population, keep_transitions)
         alive = torch.arange(1, population.batch_size[0])
         for _, trials in self.plan.rounds(len(alive)):
@@ -150,10 +146,7 @@ class CopiesContest:
         Raises:
             ValueError: If the evaluator's fitness is a function.
         """
-        if evaluator.fitness not in ("goals", "return"):
-            raise ValueError(
-                f"fitness={evaluator.fitness!r} must be 'goals' or 'return' for copies"
-            )
+        _check_fitness_of_episodes(evaluator)
         count, trials = population.batch_size[0], evaluator.num_episodes
         seeds = evaluator.fresh_seeds(count * trials)
         alone = population[PARENT : PARENT + 1]
@@ -230,6 +223,14 @@ class _Tally:
             return None
         whole: Any = TensorDict.cat(self.log)
         return whole
+
+
+def _check_fitness_of_episodes(evaluator: PopulationEvaluator) -> None:
+    """Raise ValueError if fitness is a function, which has no value per episode."""
+    if evaluator.fitness not in ("goals", "return"):
+        raise ValueError(
+            f"fitness={evaluator.fitness!r} must be 'goals' or 'return' for this contest"
+        )
 
 
 def _scored(

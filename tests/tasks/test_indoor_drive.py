@@ -77,6 +77,15 @@ def test_continuous_commands_are_followed(speed, indoor_at, indoor_pose):
         assert_follows(states, ahead, turn, indoor_pose)
 
 
+def test_tyres_hold_when_the_turn_changes(indoor_at, indoor_pose):
+    changes = np.array(list(itertools.product(range(5), range(5))))
+    worlds = indoor_at(np.zeros((25, 3)), control_interval_s=TICK_S)
+    drive(worlds, changes[:, 0], 1.0)
+    speeds, _ = motion(drive(worlds, changes[:, 1], 0.3), indoor_pose)
+    # A tyre that slips lets the robot lose its speed, up to a third of it.
+    assert (speeds > 0.95 * 0.15).all()
+
+
 def test_own_turn_rates_are_followed(indoor_at, indoor_pose):
     rates = (-120.0, 10.0, 60.0)
     worlds = indoor_at(np.zeros((3, 3)), turn_rates_deg_s=rates, control_interval_s=TICK_S)
