@@ -16,12 +16,9 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import logging
 import os
 import statistics
-import time
-from collections.abc import Callable
 
 os.environ.setdefault("MUJOCO_GL", "disable")
 
@@ -34,6 +31,7 @@ from torch.nn.functional import one_hot
 from torchrl.envs import DMControlWrapper, ParallelEnv
 from torchrl.envs.utils import step_mdp
 
+from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import load, make_task, task_names
 from gdrl_torchrl.config.algorithms import PPOConfig, RainbowConfig
 from gdrl_torchrl.config.schema import ExperimentConfig, NetworkConfig
@@ -51,22 +49,6 @@ NETWORKS = {
     False: NetworkConfig(),
 }
 """Those of the experiments, for discrete actions and for continuous ones."""
-
-
-def measure(*runs: Callable[[], int], repeats: int) -> list[list[float]]:
-    """Steps per second of repeats of each run, which returns its steps.
-
-    The runs take turns, so that a machine whose speed changes is as fast for all.
-    """
-    for run in runs:
-        run()
-    rates: list[list[float]] = [[] for _ in runs]
-    for _ in range(repeats):
-        for run, found in zip(runs, rates, strict=True):
-            start = time.perf_counter()
-            steps = run()
-            found.append(steps / (time.perf_counter() - start))
-    return rates
 
 
 def evaluator_and_engine(name: str, threads: int, repeats: int) -> list[list[float]]:
@@ -187,11 +169,6 @@ def make_population(name: str) -> tuple:
     return actor, bernoulli_mutation(genomes, mut_p=0.75, std=0.1, generator=generator)
 
 
-def show(label: str, rate: float) -> None:
-    """Print a row of the table."""
-    print(f"  {label:32s} {rate:12,.0f}", flush=True)
-
-
 def main() -> None:
     """Measure every task and print a table and JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -207,10 +184,6 @@ def main() -> None:
         rates = evaluator_and_engine(name, options.threads, options.repeats)
         evaluator, raw, *driven = map(statistics.median, rates)
 
-        def ratio_to(engine: list[float], rates: list[list[float]] = rates) -> float:
-            turns = zip(rates[0], engine, strict=True)
-            return round(statistics.median(own / its for own, its in turns), 4)
-
         show(f"PopulationEvaluator, {MEMBERS} x {EPISODES}", evaluator)
         show("raw engine, all worlds", raw)
         if driven:
@@ -224,7 +197,7 @@ def main() -> None:
             best = max(best, parallel)
         results[name] = {
             "control_steps_per_s": round(evaluator, 1),
-            "ratio_to_raw_engine": ratio_to(rates[1]),
+            "ratio_to_raw_engine": ratio(rates[0], rates[1]),
             "ratio_to_torchrl_parallel": round(evaluator / best, 2),
             "raw_engine_steps_per_s": round(raw, 1),
             "dm_control_steps_per_s": round(single, 1),
@@ -232,10 +205,10 @@ def main() -> None:
         }
         if driven:
             results[name] |= {
-                "ratio_to_driven_engine": ratio_to(rates[2]),
+                "ratio_to_driven_engine": ratio(rates[0], rates[2]),
                 "driven_engine_steps_per_s": round(driven[0], 1),
             }
-    print(json.dumps(results))
+    finish(results)
 
 
 if __name__ == "__main__":
