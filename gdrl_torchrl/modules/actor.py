@@ -66,12 +66,22 @@ def make_tanh_normal_actor(
         spec=action_spec,
         distribution_class=TanhNormal,
         distribution_kwargs={
-            "low": action_spec.low,
-            "high": action_spec.high,
+            "low": _number(action_spec.low),
+            "high": _number(action_spec.high),
             "tanh_loc": False,
         },
         return_log_prob=True,
     )
+
+
+def _number(bound: torch.Tensor) -> torch.Tensor | float:
+    """A bound that is the same for all commands as a number.
+
+    TorchRL's distribution looks at tensors whenever it is made, which takes time and
+    keeps a policy from being traced.
+    """
+    values = bound.unique()
+    return values.item() if len(values) == 1 else bound
 
 
 def make_value_network(

@@ -7,13 +7,20 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import gdrl_tasks
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.water import hydrodynamics, waves
-from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, make_hull
-from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
+from gdrl_tasks.water.hull import (
+    GRAVITY_M_S2,
+    WATER_DENSITY_KG_M3,
+    HullParameters,
+    make_hull,
+)
+from gdrl_tasks.water.kernel import hull_constants, sea_arrays, sines, substep
 from gdrl_tasks.water.task import WaterOptions, WaterTask
 
 HULL = make_hull()
@@ -113,6 +120,28 @@ def test_the_kernel_writes_only_the_worlds_it_is_given():
     assert np.isfinite(wrench[ids]).all()
     assert np.isnan(wrench[others]).all()
     np.testing.assert_array_equal(thrust[others], state.thrust[others])
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
+@example([0.0, -0.0, math.pi / 4, -math.pi / 4, math.pi / 2, 3 * math.pi, 1e6, -1e6])
+def test_sines_are_those_of_the_mathematics(angles):
+    cosine, sine = np.empty(len(angles)), np.empty(len(angles))
+    sines(np.array(angles), cosine, sine)
+    np.testing.assert_allclose(cosine, [math.cos(x) for x in angles], rtol=0, atol=5e-16)
+    np.testing.assert_allclose(sine, [math.sin(x) for x in angles], rtol=0, atol=5e-16)
+
+
+@pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
+def test_there_is_no_sine_of_what_is_no_angle(angle):
+    cosine, sine = np.zeros(5), np.zeros(5)
+    sines(np.full(5, angle), cosine, sine)
+    assert np.isnan(cosine).all()
+    assert np.isnan(sine).all()
+
+
+def test_a_hull_of_too_many_points_is_refused():
+    with pytest.raises(ValueError, match="66 points"):
+        hull_constants(make_hull(HullParameters(stations=33)))
 
 
 def test_torch_gives_the_same_forces_as_numpy():

@@ -1,8 +1,10 @@
 """The water forces of one substep as a compiled loop over worlds.
 
 The same arithmetic as :mod:`gdrl_tasks.water.hydrodynamics`, which is its definition:
-a test holds the two together to 1e-12. No fast-math. Along a hull the wave phases are
-equally spaced, so their sines follow from one another by rotation.
+a test holds the two together to 1e-12. No fast-math: loops are laid out so that the
+compiler may work on several waves or hull points at once without changing any sum. Along
+a hull the wave phases are equally spaced, so their sines follow from one another by
+rotation.
 """
 
 from __future__ import annotations
@@ -15,10 +17,29 @@ import numpy as np
 from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, Hull
 from gdrl_tasks.water.waves import SEA_FIELDS
 
+_ROW = 64
+"""Length of a row of the scratch memory, and so the most points of a hull. A constant:
+the compiler then knows that rows do not overlap."""
+_SURFACE, _SLOPE_X, _SLOPE_Y, _RISE, _RISE_RATE, _COS, _SIN = (_ROW * i for i in range(7))
+_TWO_OVER_PI = 2.0 / math.pi
+# Half pi in three parts (Cody and Waite 1980): products of the first two with whole
+# numbers below 2**20 are exact.
+_HALF_PI_HIGH = 1.57079632673412561417e00
+_HALF_PI_MIDDLE = 6.07710050630396597660e-11
+_HALF_PI_LOW = 2.02226624879595063154e-21
+_ROUND = 6755399441055744.0
+"""1.5 * 2**52: adding and taking it away rounds to a whole number."""
+
 
 def hull_constants(hull: Hull) -> tuple:
-    """The constants of a hull in the order that :func:`substep` expects."""
-    stations = hull.points.shape[0] // 2
+    """The constants of a hull in the order that :func:`substep` expects.
+
+    Raises:
+        ValueError: If the hull has too many points.
+    """
+    if len(hull.points) > _ROW:
+        raise ValueError(f"a hull of {len(hull.points)} points: {_ROW} at most")
+    stations = len(hull.points) // 2
     scalars = (
         hull.mass_kg,
         hull.draft_m,
@@ -46,6 +67,45 @@ def hull_constants(hull: Hull) -> tuple:
 def sea_arrays(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
     """The wave components ``[W, C]`` of all worlds in the order of the kernel."""
     return tuple(arrays[name] for name in SEA_FIELDS)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sines(angle, cosine, sine):  # pragma: no cover - compiled
+    """Write cosines and sines of angles below 1e6 radians, all ``[N]``.
+
+    To an absolute error of 1e-15 or, for large angles, of their own rounding. The
+    library's functions take one number at a time; this is a loop without branches.
+    Coefficients are those of the Taylor series, which on [-pi/4, pi/4] needs no better.
+    """
+    for i in range(len(angle)):
+        turns = (angle[i] * _TWO_OVER_PI + _ROUND) - _ROUND
+        rest = angle[i] - turns * _HALF_PI_HIGH
+        rest = (rest - turns * _HALF_PI_MIDDLE) - turns * _HALF_PI_LOW
+        square = rest * rest
+        odd = -1.0 / 1307674368000.0
+        odd = odd * square + 1.0 / 6227020800.0
+        odd = odd * square - 1.0 / 39916800.0
+        odd = odd * square + 1.0 / 362880.0
+        odd = odd * square - 1.0 / 5040.0
+        odd = odd * square + 1.0 / 120.0
+        odd = odd * square - 1.0 / 6.0
+        odd = rest + rest * (square * odd)
+        even = 1.0 / 20922789888000.0
+        even = even * square - 1.0 / 87178291200.0
+        even = even * square + 1.0 / 479001600.0
+        even = even * square - 1.0 / 3628800.0
+        even = even * square + 1.0 / 40320.0
+        even = even * square - 1.0 / 720.0
+        even = even * square + 1.0 / 24.0
+        even = 1.0 - 0.5 * square + square * square * even
+        # Which quarter of the circle, as -2, -1, 0, 1 or 2.
+        quarter = turns - 4.0 * ((0.25 * turns + _ROUND) - _ROUND)
+        swapped = quarter * quarter == 1.0
+        behind = quarter * quarter == 4.0
+        first = odd if swapped else even
+        second = even if swapped else odd
+        cosine[i] = -first if (behind or quarter == 1.0) else first
+        sine[i] = -second if (behind or quarter == -1.0) else second
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -89,11 +149,9 @@ def substep(
     keep = math.exp(-substep_s / lag)
     mean_gap = -math.expm1(-substep_s / lag) / (substep_s / lag)
     half = 0.5 * substep_s
-    surface = np.empty(count)
-    slope_x = np.empty(count)
-    slope_y = np.empty(count)
-    rise = np.empty(count)
-    rise_rate = np.empty(count)
+    water = np.empty(7 * _ROW)
+    angle = np.empty(3 * components)
+    cosines, sinuses = np.empty(3 * components), np.empty(3 * components)
     rotation = np.empty((3, 3))
     for world in ids:
         # Thrusters.
@@ -130,11 +188,23 @@ def substep(
 
         # Water at the points: one sine and cosine per hull and component, and one for
         # the spacing; the others by rotation.
-        surface[:] = 0.0
-        slope_x[:] = 0.0
-        slope_y[:] = 0.0
-        rise[:] = 0.0
-        rise_rate[:] = 0.0
+        px, py, pz = points[0, 0], points[0, 1], points[0, 2]
+        port_x = qpos[world, 0] + rotation[0, 0] * px + rotation[0, 1] * py
+        port_y = qpos[world, 1] + rotation[1, 0] * px + rotation[1, 1] * py
+        port_x += rotation[0, 2] * pz
+        port_y += rotation[1, 2] * pz
+        across = points[stations, 1] - py
+        other_x = port_x + rotation[0, 1] * across
+        other_y = port_y + rotation[1, 1] * across
+        along_x, along_y = spacing * rotation[0, 0], spacing * rotation[1, 0]
+        for c in range(components):
+            kx, ky = numbers_x[world, c], numbers_y[world, c]
+            moving = phases[world, c] - omegas[world, c] * time_s[world]
+            angle[c] = kx * along_x + ky * along_y
+            angle[components + c] = kx * port_x + ky * port_y + moving
+            angle[2 * components + c] = kx * other_x + ky * other_y + moving
+        sines(angle, cosines, sinuses)
+        water[:_COS] = 0.0
         water_vx, water_vy = current[world, 0], current[world, 1]
         water_ax, water_ay = 0.0, 0.0
         for c in range(components):
@@ -146,40 +216,31 @@ def substep(
             pushing = amplitude * decays[world, c]
             lifting = pushing * decays[world, c]
             speed = pushing * omega
-            along = spacing * (kx * rotation[0, 0] + ky * rotation[1, 0])
-            step_cos, step_sin = math.cos(along), math.sin(along)
+            pushing_x, pushing_y = pushing * kx, pushing * ky
+            speed_rate = speed * omega
+            step_cos, step_sin = cosines[c], sinuses[c]
+            cosine, sine = cosines[components + c], sinuses[components + c]
+            other_cos, other_sin = cosines[2 * components + c], sinuses[2 * components + c]
             cos_sum, sin_sum = 0.0, 0.0
-            for side in range(2):
-                first = side * stations
-                px, py, pz = points[first, 0], points[first, 1], points[first, 2]
-                start_x = (
-                    qpos[world, 0]
-                    + rotation[0, 0] * px
-                    + rotation[0, 1] * py
-                    + rotation[0, 2] * pz
-                )
-                start_y = (
-                    qpos[world, 1]
-                    + rotation[1, 0] * px
-                    + rotation[1, 1] * py
-                    + rotation[1, 2] * pz
-                )
-                phase = (
-                    kx * start_x + ky * start_y + phases[world, c] - omega * time_s[world]
-                )
-                cosine, sine = math.cos(phase), math.sin(phase)
-                for i in range(first, first + stations):
-                    surface[i] += lifting * cosine
-                    slope_x[i] -= pushing * kx * sine
-                    slope_y[i] -= pushing * ky * sine
-                    rise[i] += speed * sine
-                    rise_rate[i] -= speed * omega * cosine
-                    cos_sum += cosine
-                    sin_sum += sine
-                    turned = cosine * step_cos - sine * step_sin
-                    sine = sine * step_cos + cosine * step_sin
-                    cosine = turned
-            scale = speed / (math.hypot(kx, ky) * count)
+            for i in range(stations):
+                water[_COS + i], water[_SIN + i] = cosine, sine
+                water[_COS + stations + i] = other_cos
+                water[_SIN + stations + i] = other_sin
+                cos_sum += cosine + other_cos
+                sin_sum += sine + other_sin
+                turned = cosine * step_cos - sine * step_sin
+                sine = sine * step_cos + cosine * step_sin
+                cosine = turned
+                turned = other_cos * step_cos - other_sin * step_sin
+                other_sin = other_sin * step_cos + other_cos * step_sin
+                other_cos = turned
+            for i in range(count):
+                water[_SURFACE + i] += lifting * water[_COS + i]
+                water[_SLOPE_X + i] -= pushing_x * water[_SIN + i]
+                water[_SLOPE_Y + i] -= pushing_y * water[_SIN + i]
+                water[_RISE + i] += speed * water[_SIN + i]
+                water[_RISE_RATE + i] -= speed_rate * water[_COS + i]
+            scale = speed / (math.sqrt(kx * kx + ky * ky) * count)
             water_vx += scale * kx * cos_sum
             water_vy += scale * ky * cos_sum
             water_ax += scale * omega * kx * sin_sum
@@ -194,14 +255,18 @@ def substep(
             ax = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
             ay = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
             az = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-            wetted = min(max(surface[i] - (qpos[world, 2] + az) + 0.5 * draft, 0.0), depth)
+            wetted = min(
+                max(water[_SURFACE + i] - (qpos[world, 2] + az) + 0.5 * draft, 0.0), depth
+            )
             share = min(max(wetted / draft, 0.0), 1.0)
             shares += share
             lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * area * wetted
-            sinking = vz + spin_x * ay - spin_y * ax - rise[i]
-            gx = -lift * slope_x[i]
-            gy = -lift * slope_y[i]
-            gz = lift + share * (point_added * rise_rate[i] - point_damping * sinking)
+            sinking = vz + spin_x * ay - spin_y * ax - water[_RISE + i]
+            gx = -lift * water[_SLOPE_X + i]
+            gy = -lift * water[_SLOPE_Y + i]
+            gz = lift + share * (
+                point_added * water[_RISE_RATE + i] - point_damping * sinking
+            )
             fx += gx
             fy += gy
             fz += gz
