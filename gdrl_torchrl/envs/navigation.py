@@ -12,6 +12,7 @@ from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from gdrl_torchrl import keys
+from gdrl_torchrl.envs.record import make_entries
 
 
 class NavigationEnv(EnvBase):
@@ -115,11 +116,18 @@ class NavigationEnv(EnvBase):
                 seeds = torch.as_tensor(episode_seed).reshape(self.batch_size).numpy()
                 seeds = seeds if ids is None else seeds[ids]
             self.simulation.reset(ids, seeds)
-        out = self._observed()
-        running = torch.zeros((*self.batch_size, 1), dtype=torch.bool)
+        return self.at_rest(self._observation())
+
+    def at_rest(self, observation: np.ndarray) -> TensorDict:
+        """Entries ``[W]`` of the worlds as they are, before they act.
+
+        Args:
+            observation: What they observe, ``[W, D]``, float32.
+        """
+        entries = make_entries(self.task, observation, self.simulation.arrays)
         for name in (keys.DONE, keys.TERMINATED, keys.TRUNCATED):
-            out[name] = running.clone()
-        return TensorDict(out, batch_size=self.batch_size)
+            entries[name] = torch.zeros_like(entries[name])
+        return TensorDict(entries, batch_size=self.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get(keys.STEP_MASK, None)
@@ -130,46 +138,18 @@ class NavigationEnv(EnvBase):
         else:
             ids = mask.reshape(self.batch_size).nonzero()[:, 0].numpy()
             result = self.simulation.step(action[ids], ids)
-        out = self._observed()
-        flags = {
-            keys.REWARD: result.reward.astype(np.float32),
-            keys.TERMINATED: result.terminated,
-            keys.TRUNCATED: result.truncated,
-            keys.DONE: result.terminated | result.truncated,
-        }
-        for name, value in flags.items():
-            if ids is not None:
-                # Frozen worlds: no reward, and done as they were left.
-                whole = np.zeros(self.batch_size, dtype=value.dtype)
-                if name != keys.REWARD:
-                    whole[:] = self._flag(name)
-                whole[ids] = value
-                value = whole
-            out[name] = torch.from_numpy(value)[:, None]
+        out = make_entries(self.task, self._observation(), self.simulation.arrays)
+        reward = result.reward.astype(np.float32)
+        if ids is not None:
+            # Frozen worlds: no reward, and done as they were left.
+            whole = np.zeros(self.batch_size, dtype=np.float32)
+            whole[ids] = reward
+            reward = whole
+        out[keys.REWARD] = torch.from_numpy(reward)[:, None]
         return TensorDict(out, batch_size=self.batch_size)
 
-    def _flag(self, name: str) -> np.ndarray:
-        outcome = self.simulation.arrays["outcome"]
-        truncated = (outcome == Outcome.TIMEOUT) & self.task.truncates_at_limit
-        if name == keys.TRUNCATED:
-            return truncated
-        ended = outcome != Outcome.RUNNING
-        return ended & ~truncated if name == keys.TERMINATED else ended
-
-    def _observed(self) -> dict[str, torch.Tensor]:
-        arrays = self.simulation.arrays
-        outcome = arrays["outcome"]
-        out = {keys.OBSERVATION: self.simulation.observe().astype(np.float32)}
-        out[keys.SUCCESS] = outcome[:, None] == Outcome.SUCCESS
-        out[keys.OUTCOME] = outcome[:, None].copy()
-        out[keys.EPISODE_NUMBER] = arrays["episode_number"][:, None].copy()
-        out[keys.EPISODE_SEED] = arrays["episode_seed"][:, None].copy()
-        out[keys.EPISODE_STEPS] = arrays["steps"][:, None].copy()
-        time_left = 1.0 - arrays["steps"][:, None] / self.task.spec.step_limit
-        out[keys.TIME_LEFT] = time_left.astype(np.float32)
-        for name in (keys.EPISODE_RETURN, keys.PATH_LENGTH, keys.SHORTEST_PATH):
-            out[name] = arrays[name][:, None].astype(np.float32)
-        return {name: torch.from_numpy(value) for name, value in out.items()}
+    def _observation(self) -> np.ndarray:
+        return self.simulation.observe().astype(np.float32)
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulation.seed = seed or 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from torch.fx.node import map_arg
 
 Tensors = list[torch.Tensor]
+_logger = logging.getLogger(__name__)
 
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
 
@@ -56,9 +58,13 @@ class TracedFunction:
 
         tensors = (*constants, *inputs)
         whole = make_fx(flat)(*tensors)
-        if not any(_writes(node) for node in whole.graph.nodes):
-            _Identities(whole).run(*tensors)
-            _PlainFunctions(whole).run(*tensors)
+        whole.graph.eliminate_dead_code()
+        # What comes after it knows nothing of gradients: a function that wants some has
+        # computed them, and the graph has the operations of that.
+        with torch.no_grad():
+            if not any(_writes(node) for node in whole.graph.nodes):
+                _Identities(whole).run(*tensors)
+                _PlainFunctions(whole).run(*tensors)
         whole.graph.eliminate_dead_code()
         self._before, self._after = _split(whole, count)
         self.num_operations = sum(
@@ -66,14 +72,60 @@ class TracedFunction:
             for node in self._after.graph.nodes
         )
 
+    @torch.no_grad()
     def prepare(self, constants: Tensors) -> Tensors:
         """What :meth:`run` needs of the constants."""
         return list(self._before.forward(*constants))
 
+    @torch.no_grad()
     def run(self, prepared: Tensors, inputs: Tensors) -> tuple[torch.Tensor, ...]:
         """The function's outputs for inputs, and for the constants prepared."""
         # A module's call has hooks to look for.
         return self._after.forward(*prepared, *inputs)
+
+
+def trace(
+    function: Callable[[Tensors, Tensors], Sequence[torch.Tensor]],
+    constants: Tensors,
+    inputs: Tensors,
+) -> TracedFunction | None:
+    """Trace a function, if its graph gives the same numbers bit for bit.
+
+    Where it draws from torch's global generator the graph does too, and gives the same
+    for the same state; the state is left as it was.
+
+    Args:
+        function: As of :class:`TracedFunction`. It may also use constants that it has
+            from elsewhere than its arguments: the same tensor is the same constant.
+        constants: Tensors that change seldom.
+        inputs: Tensors that change at every call.
+
+    Returns:
+        The graph, or None if the function looks at numbers, is random in another way or
+        cannot be traced for other reasons, which are logged.
+
+    Examples:
+        >>> zero, ones = torch.zeros(2), torch.ones(2)
+        >>> trace(lambda constants, inputs: [constants[0] + inputs[0]], [zero], [ones])
+        <gdrl_torchrl.modules.graph.TracedFunction object at ...>
+        >>> trace(lambda constants, inputs: [ones * inputs[0].item()], [], [zero[:1]])
+    """
+    state = torch.get_rng_state()
+    try:
+        expected = function(constants, inputs)
+        torch.set_rng_state(state)
+        graph = TracedFunction(function, constants, inputs)
+        torch.set_rng_state(state)
+        outputs = graph.run(graph.prepare(constants), inputs)
+    except Exception as error:  # whatever a module of a user raises when traced
+        _logger.debug("%s is not traced: %s", function, error)
+        return None
+    finally:
+        torch.set_rng_state(state)
+    if all(map(_are_equal, outputs, expected)):
+        return graph
+    _logger.debug("%s is not traced: its graph gives other numbers", function)
+    return None
 
 
 class _Identities(fx.Interpreter):

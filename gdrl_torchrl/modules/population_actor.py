@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 import torch
@@ -10,9 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs.utils import exploration_type
 
-from gdrl_torchrl.modules.graph import Tensors, TracedFunction
-
-_logger = logging.getLogger(__name__)
+from gdrl_torchrl.modules.graph import Tensors, TracedFunction, trace
 
 
 class PopulationActor:
@@ -216,21 +213,7 @@ class PopulationActor:
             genomes = _nested(params, constants, count)
             return run(genomes, _nested(leaves, values, size))
 
-        constants, values = list(params.values()), list(leaves.values())
-        try:
-            expected = flat(constants, values)
-            graph = TracedFunction(flat, constants, values)
-            outputs = graph.run(graph.prepare(constants), values)
-            same = all(
-                torch.equal(torch.nan_to_num(one), torch.nan_to_num(other))
-                for one, other in zip(outputs, expected, strict=True)
-            )
-        except Exception as error:  # whatever a module of a user raises when traced
-            _logger.debug("%s is not traced: %s", type(self.actor).__name__, error)
-            return None
-        if not same:
-            _logger.debug("%s is not traced: it is random", type(self.actor).__name__)
-        return graph if same else None
+        return trace(flat, list(params.values()), list(leaves.values()))
 
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         with params.to_module(self._prefix, preserve_module_state=False):

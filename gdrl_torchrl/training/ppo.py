@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 
 import torch
-from torchrl.collectors import Collector
 from torchrl.data import (
     Bounded,
     LazyTensorStorage,
@@ -26,6 +25,7 @@ from gdrl_torchrl.training.agent import (
     check_fit,
     make_training_env,
 )
+from gdrl_torchrl.training.collect import make_collector
 
 
 def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
@@ -60,12 +60,11 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
     optimizer = torch.optim.Adam(
         loss.parameters(), lr=algorithm.learning_rate, eps=1e-5, fused=True
     )
-    collector = Collector(
+    collector = make_collector(
         env,
         actor,
         frames_per_batch=algorithm.frames_per_batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
+        policy_keys=["action_log_prob"],
     )
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(algorithm.frames_per_batch),

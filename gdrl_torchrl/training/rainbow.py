@@ -10,7 +10,6 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import nn
-from torchrl.collectors import Collector
 from torchrl.data import Categorical, TensorDictReplayBuffer
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
 from torchrl.trainers import Trainer
@@ -40,6 +39,7 @@ from gdrl_torchrl.training.agent import (
     check_fit,
     make_training_env,
 )
+from gdrl_torchrl.training.collect import make_collector
 
 
 def make_rainbow_actor(
@@ -199,12 +199,8 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         )
         parts: list[Any] = [actor, exploration]
         policy = TensorDictSequential(*parts)
-    collector = Collector(
-        env,
-        policy,
-        frames_per_batch=algorithm.frames_per_batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
+    collector = make_collector(
+        env, policy, frames_per_batch=algorithm.frames_per_batch, policy_keys=[]
     )
     learner = RainbowLearner(
         loss, optimizer, buffer, algorithm, seed=config.seed, exploration=exploration

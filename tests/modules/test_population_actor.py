@@ -222,7 +222,7 @@ def test_a_random_policy_stays_random():
     one, other = (population(rows.clone())["action"] for _ in range(2))
     assert (one != other).all()
     assert (one[:2] != one[2:]).all(), "members draw numbers of their own"
-    assert list(population._graphs.values()) == [None]
+    assert None not in population._graphs.values()
 
 
 class Counting(nn.Module):
