@@ -208,9 +208,9 @@ def project(
     # case, all of its probability goes to one of the two.
     below = position.long().clamp_max(last - 1)
     upper = values * (position - below)
-    projected = torch.zeros_like(values)
-    projected.scatter_add_(-1, below, values - upper)
-    projected.scatter_add_(-1, below + 1, upper)
+    # Nothing is written in place: that would keep the loss from being traced.
+    projected = torch.zeros_like(values).scatter_add(-1, below, values - upper)
+    projected = projected.scatter_add(-1, below + 1, upper)
     return projected, (values * outside).sum(-1)
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import torch
-from torchrl.data import (
-    Bounded,
-    LazyTensorStorage,
-    SamplerWithoutReplacement,
-    TensorDictReplayBuffer,
-)
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor
-from torchrl.trainers.algorithms import PPOTrainer
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
+from gdrl_torchrl.config.algorithms import PPOConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.objectives.ppo import make_ppo_loss
@@ -26,6 +27,7 @@ from gdrl_torchrl.training.agent import (
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector
+from gdrl_torchrl.training.update import Update
 
 
 def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
@@ -43,6 +45,89 @@ def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> Probabilis
         activation=ACTIVATIONS[config.network.activation],
         initial_std=config.network.initial_std,
     )
+
+
+class PPOLearner(OptimizationStepper):
+    """Estimates advantages, and makes one update per minibatch.
+
+    TorchRL's ``PPOTrainer`` puts the whole batch into a replay buffer in every epoch, with
+    all that nobody reads; here the loss's entries are laid side by side once.
+
+    Args:
+        loss: The loss.
+        advantage: Writes what the loss reads into batches ``[W, T]``.
+        optimizer: Optimiser of the loss's parameters.
+        config: PPO's settings.
+        seed: Seed of the order of minibatches.
+    """
+
+    def __init__(
+        self,
+        loss: ClipPPOLoss,
+        advantage: GAE,
+        optimizer: torch.optim.Optimizer,
+        config: PPOConfig,
+        *,
+        seed: int,
+    ) -> None:
+        self.advantage = advantage
+        self.minibatch_size = config.minibatch_size
+        self.generator = torch.Generator().manual_seed(seed)
+        names: Any = loss.tensor_keys
+        self._keys = list(
+            dict.fromkeys(
+                [
+                    *loss.actor_network.in_keys,
+                    *loss.critic_network.in_keys,
+                    *(names.action, names.sample_log_prob),
+                    *(names.advantage, names.value_target, names.value),
+                ]
+            )
+        )
+        self._update = Update(loss, optimizer, config.max_grad_norm)
+        self._rows = TensorDict()
+        self._order: list[torch.Tensor] = []
+
+    def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
+        """Register with a trainer: advantages, order of an epoch, minibatches."""
+        super().register(trainer, name)
+        trainer.register_op("batch_process", self.estimate)
+        trainer.register_op("pre_epoch", self.shuffle)
+        trainer.register_op("process_optim_batch", self.draw)
+
+    def estimate(self, batch: TensorDictBase) -> TensorDictBase:
+        """Add advantages to a batch ``[W, T]``."""
+        batch = self.advantage(batch)
+        self._rows = batch.select(*self._keys).reshape(-1)
+        return batch
+
+    def shuffle(self, batch: TensorDictBase) -> TensorDictBase:
+        """Draw an epoch's order of the rows."""
+        order = torch.randperm(len(self._rows), generator=self.generator)
+        self._order = list(order.split(self.minibatch_size))
+        return batch
+
+    def draw(self, batch: TensorDictBase) -> TensorDictBase:
+        """The next minibatch of the epoch.
+
+        Raises:
+            StopIteration: At its end, for a trainer to begin the next one.
+        """
+        if not self._order:
+            raise StopIteration
+        return self._rows[self._order.pop(0)]
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """One update; the losses by name, detached."""
+        return self._update(sub_batch)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Generator of the order."""
+        return {"generator": self.generator.get_state()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.generator.set_state(state_dict["generator"])
 
 
 def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
@@ -66,32 +151,22 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         frames_per_batch=algorithm.frames_per_batch,
         policy_keys=["action_log_prob"],
     )
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(algorithm.frames_per_batch),
-        sampler=SamplerWithoutReplacement(),
-        batch_size=algorithm.minibatch_size,
-    )
+    learner = PPOLearner(loss, advantage, optimizer, algorithm, seed=config.seed)
     with warnings.catch_warnings():
-        # TorchRL calls its trainers prototypes, and its own on-policy trainer still
-        # registers a stage that it deprecates.
+        # TorchRL calls its trainers prototypes.
         warnings.simplefilter("ignore")
-        trainer = PPOTrainer(
+        trainer = Trainer(
             collector=collector,
             total_frames=NO_FRAME_LIMIT,
             frame_skip=1,
             optim_steps_per_batch=None,  # pyright: ignore[reportArgumentType]
+            num_epochs=algorithm.num_epochs,
             loss_module=loss,
             optimizer=optimizer,
-            num_epochs=algorithm.num_epochs,
-            replay_buffer=buffer,
-            gae=advantage,
-            clip_norm=algorithm.max_grad_norm,
-            enable_logging=False,
+            optimization_stepper=learner,
             auto_log_optim_steps=False,
             progress_bar=False,
         )
-    # The order of the next epoch is drawn when the one before it ends.
-    parts = {"sampler": buffer.sampler}
     return Agent(
         actor,
         trainer,
@@ -99,6 +174,6 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         loss=loss,
         optimizer=optimizer,
         collector=collector,
-        parts=parts,
+        parts={"learner": learner},
         critic=critic,
     )

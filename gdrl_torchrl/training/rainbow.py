@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
-from torch import nn
 from torchrl.data import Categorical, TensorDictReplayBuffer
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
 from torchrl.trainers import Trainer
@@ -40,6 +39,7 @@ from gdrl_torchrl.training.agent import (
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector
+from gdrl_torchrl.training.update import Update
 
 
 def make_rainbow_actor(
@@ -97,9 +97,7 @@ class RainbowLearner(OptimizationStepper):
         self.generator = torch.Generator().manual_seed(seed)
         self.num_updates = 0
         self.num_episodes = 0
-        self._parameters = [
-            parameter for group in optimizer.param_groups for parameter in group["params"]
-        ]
+        self._update = Update(loss, optimizer, config.max_grad_norm)
         self._anneal()
 
     def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
@@ -128,16 +126,12 @@ class RainbowLearner(OptimizationStepper):
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """One update; the losses by name, detached."""
         resample_noise(self.loss)
-        losses = self.loss(sub_batch)
-        losses["loss"].backward()
-        norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
-        self.optimizer.step()
-        self.optimizer.zero_grad()
+        losses = self._update(sub_batch)
         soft_update_target(self.loss, self.config.target_tau)
         self.buffer.update_tensordict_priority(sub_batch)
         self.num_updates += 1
         self._anneal()
-        return losses.detach().set("grad_norm", norm)
+        return losses
 
     def share(self, transitions: TensorDictBase, share: float) -> int:
         """Take a share of whole episodes ``[T]`` of other policies into the buffer."""
