@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from gdrl_torchrl import keys
-from gdrl_torchrl.envs.record import make_entries
+from gdrl_torchrl.envs.record import at_rest, make_entries
 
 
 class NavigationEnv(EnvBase):
@@ -124,10 +124,16 @@ class NavigationEnv(EnvBase):
         Args:
             observation: What they observe, ``[W, D]``, float32.
         """
-        entries = make_entries(self.task, observation, self.simulation.arrays)
-        for name in (keys.DONE, keys.TERMINATED, keys.TRUNCATED):
-            entries[name] = torch.zeros_like(entries[name])
-        return TensorDict(entries, batch_size=self.batch_size)
+        return at_rest(self.entries(observation, self.simulation.arrays))
+
+    def entries(self, observation: np.ndarray, arrays: dict[str, np.ndarray]) -> TensorDict:
+        """All entries but the reward, of worlds or of worlds at several steps ``[...]``.
+
+        Args:
+            observation: What they observe, ``[..., D]``, float32.
+            arrays: Those of the simulation, ``[...]``, or rows of them.
+        """
+        return make_entries(self.task, observation, arrays)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get(keys.STEP_MASK, None)
@@ -138,15 +144,14 @@ class NavigationEnv(EnvBase):
         else:
             ids = mask.reshape(self.batch_size).nonzero()[:, 0].numpy()
             result = self.simulation.step(action[ids], ids)
-        out = make_entries(self.task, self._observation(), self.simulation.arrays)
+        out = self.entries(self._observation(), self.simulation.arrays)
         reward = result.reward.astype(np.float32)
         if ids is not None:
             # Frozen worlds: no reward, and done as they were left.
             whole = np.zeros(self.batch_size, dtype=np.float32)
             whole[ids] = reward
             reward = whole
-        out[keys.REWARD] = torch.from_numpy(reward)[:, None]
-        return TensorDict(out, batch_size=self.batch_size)
+        return out.set(keys.REWARD, torch.from_numpy(reward)[:, None])
 
     def _observation(self) -> np.ndarray:
         return self.simulation.observe().astype(np.float32)

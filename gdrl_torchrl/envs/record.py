@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from tensordict import TensorDict
@@ -9,7 +11,7 @@ from tensordict import TensorDict
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from gdrl_torchrl import keys
 
-_RECORDED = (
+RECORDED = (
     "outcome",
     "episode_number",
     "episode_seed",
@@ -43,7 +45,7 @@ class StepRecord:
         size = simulation.task.spec.observation_size
         self._observation = np.empty((*shape, size), dtype=np.float32)
         arrays = simulation.arrays
-        self._recorded = {name: np.empty(shape, arrays[name].dtype) for name in _RECORDED}
+        self._recorded = {name: np.empty(shape, arrays[name].dtype) for name in RECORDED}
 
     def note(self, step: int, observation: np.ndarray) -> None:
         """Note all worlds, and what they observe ``[W, D]``, as those of a step."""
@@ -53,13 +55,12 @@ class StepRecord:
 
     def tensordict(self) -> TensorDict:
         """All entries ``[W, T]``."""
-        entries = make_entries(self.simulation.task, self._observation, self._recorded)
-        return TensorDict(entries, batch_size=self._observation.shape[:-1])
+        return make_entries(self.simulation.task, self._observation, self._recorded)
 
 
 def make_entries(
     task: NavigationTask, observation: np.ndarray, arrays: dict[str, np.ndarray]
-) -> dict[str, torch.Tensor]:
+) -> TensorDict:
     """Entries of an environment but its reward, from observations and arrays.
 
     Args:
@@ -68,9 +69,9 @@ def make_entries(
         arrays: Those of a simulation, or copies at several steps, ``[...]``.
 
     Returns:
-        Tensors ``[..., 1]``, and the observation, by key.
+        A tensordict ``[...]``.
     """
-    recorded = {name: arrays[name][..., None] for name in _RECORDED}
+    recorded = {name: arrays[name][..., None] for name in RECORDED}
     outcome, steps = recorded["outcome"], recorded["steps"]
     ended = outcome != Outcome.RUNNING
     truncated = (outcome == Outcome.TIMEOUT) & task.truncates_at_limit
@@ -88,4 +89,12 @@ def make_entries(
     }
     for name in (keys.EPISODE_RETURN, keys.PATH_LENGTH, keys.SHORTEST_PATH):
         out[name] = recorded[name].astype(np.float32)
-    return {name: torch.from_numpy(value) for name, value in out.items()}
+    entries: dict[str, Any] = {name: torch.from_numpy(x) for name, x in out.items()}
+    return TensorDict(entries, batch_size=observation.shape[:-1])
+
+
+def at_rest(entries: TensorDict) -> TensorDict:
+    """Entries, changed in place to those before the next step: nothing has ended."""
+    for name in (keys.DONE, keys.TERMINATED, keys.TRUNCATED):
+        entries.set(name, torch.zeros_like(entries.get(name)))
+    return entries

@@ -149,7 +149,7 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         env,
         actor,
         frames_per_batch=algorithm.frames_per_batch,
-        policy_keys=["action_log_prob"],
+        policy_keys=["action_log_prob", "loc", "scale"],
     )
     learner = PPOLearner(loss, advantage, optimizer, algorithm, seed=config.seed)
     with warnings.catch_warnings():

@@ -241,7 +241,7 @@ class PopulationEvaluator(Transform):
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
         members = 1 if self.seeding_of(env) == "set_seed" else max(1, worlds // trials)
-        simulation = None if keep_transitions else simulation_of(self, env)
+        simulation = simulation_of(self, env)
         try:
             with set_exploration_type(self.exploration_type):
                 for first in range(0, count, members):
@@ -250,12 +250,10 @@ class PopulationEvaluator(Transform):
                     for begin in range(0, len(seeds), trials):
                         columns = slice(begin, min(begin + trials, len(seeds)))
                         part = (scores[rows, columns], seeds[columns])
+                        rollout: Any = PopulationRollout(self, env, *part)
                         if simulation is not None:
-                            SimulationRollout(self, env, params[rows], *part).run()
-                            continue
-                        PopulationRollout(self, env, *part).run(
-                            log if keep_transitions else None, (first, begin)
-                        )
+                            rollout = SimulationRollout(self, env, params[rows], *part)
+                        rollout.run(log if keep_transitions else None, (first, begin))
         finally:
             self.population.unload()
         return self._summary(scores, env), ordered_episodes(log)

@@ -56,7 +56,7 @@ def block_shapes(members: int, trials: int) -> list[tuple[int, int]]:
 
 
 class SimulationRollout:
-    """As ``PopulationRollout``, for when no transitions are asked for.
+    """As ``PopulationRollout``, with no tensordict of the environment per step.
 
     Steps only the worlds whose episodes go on. They act in blocks of a few rows, each
     with the weights of its member, and there are fewer blocks as episodes end: what is
@@ -76,8 +76,8 @@ class SimulationRollout:
         self.population = evaluator.population
         self.params, self.scores, self.seeds = params, scores, seeds
 
-    def run(self) -> None:
-        """Fill the scores ``[p, s]``."""
+    def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
+        """Fill the scores ``[p, s]``; append transitions to ``log``."""
         members, trials = self.scores.batch_size
         simulation, count = self.simulation, members * trials
         live = np.arange(count)
@@ -86,6 +86,7 @@ class SimulationRollout:
         returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
         finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
         limit = self.evaluator.max_steps
+        episodes = None if log is None else _EpisodeLog(self.simulation, observation)
         slots = self._blocks(live, trials, None)
         where = np.empty(count, dtype=np.int64)
         while len(live):
@@ -96,8 +97,11 @@ class SimulationRollout:
             result = simulation.step(action[rows], live)
             observation[live] = result.observation
             # Through float32, as an environment's rewards are.
-            returns[live] += result.reward.astype(np.float32)
+            reward = result.reward.astype(np.float32)
+            returns[live] += reward
             steps[live] += 1
+            if episodes is not None:
+                episodes.note(live, action[rows], reward, observation)
             ended = result.terminated | result.truncated
             if ended.any():
                 self._note_finals(final, live[ended])
@@ -110,6 +114,8 @@ class SimulationRollout:
         for name, value in final.items():
             shaped = torch.from_numpy(value).reshape(members, trials)
             self.scores.set_(name, shaped.to(self.scores[name].dtype))
+        if log is not None and episodes is not None:
+            log.append(episodes.transitions(self.env, trials, offset))
 
     def _act(
         self, observation: np.ndarray, slots: np.ndarray
@@ -164,3 +170,71 @@ class SimulationRollout:
 
     def _final_names(self) -> list[tuple[Any, str]]:
         return [(key, str(n)) for key, n in self.evaluator.final_keys(self.env).items()]
+
+
+class _EpisodeLog:
+    """Transitions of episodes, each world's from its first step to its last.
+
+    Args:
+        simulation: The worlds.
+        observation: What they observe before the first step, ``[W, D]``, float32.
+    """
+
+    def __init__(self, simulation: BatchSimulation, observation: np.ndarray) -> None:
+        self._simulation = simulation
+        # Those with one number per world; the others are the task's own.
+        self._names = [n for n, x in simulation.arrays.items() if x.ndim == 1]
+        self._first = {n: simulation.arrays[n].copy() for n in self._names}
+        self._observed = observation.copy()
+        self._steps: list[tuple[Any, ...]] = []
+
+    def note(
+        self,
+        worlds: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        observation: np.ndarray,
+    ) -> None:
+        """Note a step of worlds ``[K]``, by actions and with rewards ``[K, ...]``.
+
+        ``observation`` ``[W, D]`` is what all worlds observe after it.
+        """
+        after = [self._simulation.arrays[name][worlds] for name in self._names]
+        self._steps.append((worlds, action, reward, observation[worlds], *after))
+
+    def transitions(
+        self, env: EnvBase, trials: int, offset: tuple[int, int]
+    ) -> TensorDictBase:
+        """All transitions ``[N]`` in ``env``'s entries, world after world.
+
+        World ``w`` played episode ``w % trials`` of member ``w // trials``, both counted
+        from ``offset``.
+        """
+        columns = [np.concatenate(column) for column in zip(*self._steps, strict=True)]
+        order = columns[0].argsort(kind="stable")
+        world, action, reward, observation, *after = (x[order] for x in columns)
+        begins = np.flatnonzero(np.diff(world, prepend=-1))
+        began = world[begins]
+        previous = np.arange(len(world)) - 1
+
+        def before(first: np.ndarray, later: np.ndarray) -> np.ndarray:
+            values = later[previous]
+            values[begins] = first[began]
+            return values
+
+        named = dict(zip(self._names, after, strict=True))
+        earlier = {name: before(self._first[name], x) for name, x in named.items()}
+        entries: Any = env
+        rows = entries.entries(before(self._observed, observation), earlier)
+        following = entries.entries(observation, named)
+        following.set(keys.REWARD, torch.from_numpy(reward)[:, None])
+        lengths = np.diff(begins, append=len(world))
+        added = {
+            keys.ACTION: action,
+            "member": offset[0] + world // trials,
+            "episode": offset[1] + world % trials,
+            "time": np.arange(len(world)) - np.repeat(begins, lengths),
+        }
+        for name, values in added.items():
+            rows.set(name, torch.from_numpy(values))
+        return rows.set("next", following)

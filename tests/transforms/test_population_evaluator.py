@@ -704,28 +704,44 @@ def test_a_closed_evaluator_can_be_used_again(actor_of, population_of, evaluator
 
 
 @pytest.mark.parametrize("worlds", [132, 60])
-def test_shrinking_blocks_score_as_whole_batches_of_the_environment(
-    worlds, actor_of, population_of, evaluator_for
+def test_shrinking_blocks_are_whole_batches_of_the_environment(
+    worlds, actor_of, population_of
 ):
-    """Without transitions worlds act in blocks that are halved as episodes end."""
+    """Straight on the simulation, worlds act in blocks that get fewer."""
     task = gdrl_tasks.make_task("indoor", step_limit=120, num_beams=5)
     actor = actor_of("distributional", 7, Categorical(5))
     population = population_of(actor, 11)
-    evaluator = evaluator_for(
-        actor,
-        worlds,
-        task=task,
-        num_episodes=12,
-        extra_keys=("path_length", "episode_return"),
-    )
     seeds = torch.arange(12)
-    blocks = evaluator.evaluate(population, seeds=seeds)
-    whole, _ = evaluator.evaluate_with_transitions(population, seeds=seeds)
+
+    def evaluate(wrap):
+        evaluator = PopulationEvaluator(
+            actor,
+            num_episodes=12,
+            create_env_fn=lambda: wrap(NavigationEnv(task, worlds, num_threads=1)),
+            extra_keys=("path_length", "episode_return"),
+        )
+        alone = evaluator.evaluate(population, seeds=seeds)
+        logged, transitions = evaluator.evaluate_with_transitions(population, seeds=seeds)
+        evaluator.close()
+        assert (alone == logged).all()
+        return alone, transitions
+
+    blocks, transitions = evaluate(lambda env: env)
+    # Nobody knows what a transform does, so this one is stepped as an environment.
+    whole, expected = evaluate(lambda env: TransformedEnv(env, StepCounter()))
     assert blocks["steps"].unique().numel() > 20, "episodes end at different times"
     for key in ("steps", "outcomes", "successes", "frames"):
         assert torch.equal(blocks[key], whole[key]), key
     for key in ("returns", "fitness", "path_length", "episode_return"):
         assert torch.allclose(blocks[key], whole[key], atol=1e-5), key
+    expected = expected.exclude("step_count", ("next", "step_count"))
+    assert set(transitions.keys(True, True)) == set(expected.keys(True, True))
+    for key in expected.keys(True, True):
+        if "episode_number" in key:  # idle worlds begin episodes too in an environment
+            continue
+        one, other = transitions[key], expected[key]
+        assert one.dtype == other.dtype, key
+        assert torch.allclose(one.double(), other.double(), atol=1e-5), key
 
 
 def test_a_transformed_environment_is_never_bypassed(
