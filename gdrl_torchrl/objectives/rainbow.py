@@ -235,13 +235,22 @@ def soft_update_target(loss: RainbowLoss, tau: float) -> None:
     """
     if not 0.0 <= tau <= 1.0:
         raise ValueError(f"tau must be in [0, 1]: {tau}")
+    torch._foreach_lerp_(*target_and_online(loss), tau)
+
+
+def target_and_online(loss: RainbowLoss) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    """Parameters of the target network and of the online one, in the same order.
+
+    They share the memory of the loss's.
+    """
     online, target = loss.value_network_params, loss.target_value_network_params
-    sources, targets = [], []
-    for key, source in online.items(include_nested=True, leaves_only=True):
-        if isinstance(source, nn.Parameter):
-            sources.append(source.data)
-            targets.append(target.get(key).data)
-    torch._foreach_lerp_(targets, sources, tau)
+    pairs = [
+        (target.get(key).data, parameter.data)
+        for key, parameter in online.items(include_nested=True, leaves_only=True)
+        if isinstance(parameter, nn.Parameter)
+    ]
+    targets, parameters = map(list, zip(*pairs, strict=True))
+    return targets, parameters
 
 
 @torch.no_grad()

@@ -25,6 +25,8 @@ class TracedLoss:
             minibatch, its parameters, its buffers and torch's global generator.
         parameters: What gradients are taken of; the sum of all entries whose names begin
             with ``loss`` is minimised, as TorchRL's trainers do.
+        diagnostics: Other entries that are wanted; None are all. What nobody wants is not
+            computed.
 
     Examples:
         >>> from gdrl_torchrl.modules.q_network import make_q_actor
@@ -47,9 +49,16 @@ class TracedLoss:
         True
     """
 
-    def __init__(self, loss: LossModule, parameters: Iterable[torch.Tensor]) -> None:
+    def __init__(
+        self,
+        loss: LossModule,
+        parameters: Iterable[torch.Tensor],
+        *,
+        diagnostics: Iterable[str] | None = None,
+    ) -> None:
         self.loss = loss
         self.parameters = list(parameters)
+        self.diagnostics = None if diagnostics is None else set(diagnostics)
         self._traced: dict[Any, _Traced] = {}
 
     def backward(self, batch: TensorDictBase) -> TensorDict:
@@ -62,7 +71,7 @@ class TracedLoss:
             batch: A minibatch ``[B]``.
 
         Returns:
-            What the loss module returns, detached.
+            Losses and diagnostics, detached.
         """
         key = self._signature(batch)
         if key not in self._traced:
@@ -84,7 +93,12 @@ class _Traced:
         state = torch.get_rng_state()
         trial = batch.copy()
         losses = self.loss(trial)
-        self.names = list(losses.keys())
+        wanted = owner.diagnostics
+        self.names = [
+            name
+            for name in map(str, losses.keys())
+            if wanted is None or name in wanted or name.startswith("loss")
+        ]
         given = dict(_items(batch))
         self.written = [key for key, x in _items(trial) if x is not given.get(key)]
         self.keys = list(given)

@@ -84,7 +84,8 @@ class PPOLearner(OptimizationStepper):
                 ]
             )
         )
-        self._update = Update(loss, optimizer, config.max_grad_norm)
+        # A trainer averages whatever an update returns: nobody reads the diagnostics.
+        self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
         self._rows = TensorDict()
         self._order: list[torch.Tensor] = []
 

@@ -21,8 +21,10 @@ from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.data.n_step import NStep
 from gdrl_torchrl.data.replay import (
     buffer_state,
+    draw_minibatch,
     load_buffer_state,
     make_prioritized_buffer,
+    note_errors,
     share_experience,
 )
 from gdrl_torchrl.modules.q_network import make_q_actor
@@ -30,6 +32,7 @@ from gdrl_torchrl.objectives.rainbow import (
     RainbowLoss,
     resample_noise,
     soft_update_target,
+    target_and_online,
 )
 from gdrl_torchrl.training.agent import (
     ACTIVATIONS,
@@ -97,6 +100,7 @@ class RainbowLearner(OptimizationStepper):
         self.generator = torch.Generator().manual_seed(seed)
         self.num_updates = 0
         self.num_episodes = 0
+        self._target_and_online = target_and_online(loss)
         self._update = Update(loss, optimizer, config.max_grad_norm)
         self._anneal()
 
@@ -121,14 +125,14 @@ class RainbowLearner(OptimizationStepper):
         """
         if len(self.buffer) < self.config.warmup_steps:
             raise StopIteration
-        return self.buffer.sample()
+        return draw_minibatch(self.buffer)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """One update; the losses by name, detached."""
         resample_noise(self.loss)
         losses = self._update(sub_batch)
-        soft_update_target(self.loss, self.config.target_tau)
-        self.buffer.update_tensordict_priority(sub_batch)
+        torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
+        note_errors(self.buffer, sub_batch)
         self.num_updates += 1
         self._anneal()
         return losses
