@@ -5,9 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 from gdrl_torchrl.config.checks import check_choice, check_folder, check_range
-from gdrl_torchrl.evolution.crossover import crossovers
-from gdrl_torchrl.evolution.mutation import mutations
-from gdrl_torchrl.evolution.selection import TIE_RULES
 
 
 @dataclasses.dataclass
@@ -69,6 +66,11 @@ class EvolutionConfig:
     """Worlds of the evaluation; None takes one per member and trial."""
 
     def __post_init__(self) -> None:
+        # Here because they import torch, which takes seconds: --help needs no torch.
+        from gdrl_torchrl.evolution.crossover import crossovers
+        from gdrl_torchrl.evolution.mutation import mutations
+        from gdrl_torchrl.evolution.selection import TIE_RULES
+
         check_folder("evolution.name", self.name)
         for name in (
             "num_children",

@@ -11,7 +11,6 @@ from typing import Any
 
 from torchrl.record.loggers import Logger
 
-from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.genome import install
 from gdrl_torchrl.training.build import Training, build_training, make_task_of
@@ -166,6 +165,9 @@ def _report(
     costs: dict[str, Any],
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
+    # Imported here because matplotlib takes a second to import.
+    from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
+
     task, actor = training.task, training.agent.actor
     result = training.genetic.final_genome()
     if result is not None:

@@ -20,7 +20,7 @@ from gdrl_torchrl.objectives.traced_loss import TracedLoss
 SIZE = 16
 
 
-class SquaredError(LossModule):
+class Squares(LossModule):
     """The mean squared value of a linear network; may look at the numbers."""
 
     def __init__(self, looks=False):
@@ -138,7 +138,7 @@ def test_it_is_the_loss_bit_for_bit(make):
 
 
 def test_a_loss_that_looks_at_numbers_is_run_as_it_is():
-    loss = SquaredError(looks=True)
+    loss = Squares(looks=True)
     parameters = list(loss.parameters())
     traced = TracedLoss(loss, parameters)
     batch = TensorDict(observation=torch.rand(SIZE, 3), batch_size=[SIZE])
@@ -150,7 +150,7 @@ def test_a_loss_that_looks_at_numbers_is_run_as_it_is():
 
 
 def test_gradients_of_the_past_are_gone():
-    loss = SquaredError()
+    loss = Squares()
     parameters = list(loss.parameters())
     for parameter in parameters:
         parameter.grad = torch.ones_like(parameter)
@@ -162,7 +162,7 @@ def test_gradients_of_the_past_are_gone():
 
 
 def test_other_kinds_of_minibatches_are_other_graphs():
-    loss = SquaredError()
+    loss = Squares()
     traced = TracedLoss(loss, loss.parameters())
     for size in (4, 7, 4):
         rows = torch.rand(size, 3)
@@ -172,7 +172,7 @@ def test_other_kinds_of_minibatches_are_other_graphs():
 
 
 def test_only_the_diagnostics_that_are_wanted_are_returned():
-    loss = SquaredError()
+    loss = Squares()
     batch = TensorDict(observation=torch.rand(SIZE, 3), batch_size=[SIZE])
     keys = [
         set(TracedLoss(loss, loss.parameters(), diagnostics=wanted).backward(batch).keys())
@@ -197,12 +197,12 @@ def test_no_number_is_drawn_for_tracing():
 def test_weights_from_elsewhere_are_read_anew():
     network = TensorDictModule(nn.Linear(3, 1), ["observation"], ["value"])
 
-    class WithAnother(SquaredError):
+    class AndAnother(Squares):
         def forward(self, tensordict):
             value = network(tensordict.copy())["value"]
             return TensorDict(loss=value.square().mean())
 
-    loss = WithAnother()
+    loss = AndAnother()
     weight = network.module.weight
     traced = TracedLoss(loss, [weight])
     for factor in (1.0, 2.0):
