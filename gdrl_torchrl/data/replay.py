@@ -117,7 +117,9 @@ def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:
     size: Any = buffer.batch_size
     drawn: Any = buffer.sampler.sample(buffer.storage, size)
     index, info = drawn
-    rows = buffer.storage.get(index)
+    storage: Any = buffer.storage
+    # The storage itself would first take a view of its filled part.
+    rows = storage._storage.apply(lambda x: x.index_select(0, index), batch_size=[size])
     return rows.set("index", index).set("priority_weight", info["priority_weight"])
 
 

@@ -14,6 +14,7 @@ from torch.fx.node import map_arg
 Tensors = list[torch.Tensor]
 _logger = logging.getLogger(__name__)
 
+_NEW_MEMORY = (torch.ops.aten.empty.memory_format, torch.ops.aten.empty_like.default)
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
 
 
@@ -64,6 +65,7 @@ class TracedFunction:
         with torch.no_grad():
             if not any(_writes(node) for node in whole.graph.nodes):
                 _Identities(whole).run(*tensors)
+                _merge_equal_nodes(whole.graph)
                 _PlainFunctions(whole).run(*tensors)
         whole.graph.eliminate_dead_code()
         self._before, self._after = _split(whole, count)
@@ -138,7 +140,7 @@ class _Identities(fx.Interpreter):
 
     def run_node(self, n: fx.Node) -> Any:
         result = super().run_node(n)
-        if not isinstance(result, torch.Tensor):
+        if not isinstance(result, torch.Tensor) or _mutates(n):
             return result
         first = self._first.setdefault(_place(result), n)
         if n.target in _PRODUCTS and not isinstance(n.args[1], fx.Node):
@@ -175,6 +177,20 @@ class _PlainFunctions(fx.Interpreter):
         return result
 
 
+def _merge_equal_nodes(graph: fx.Graph) -> None:
+    """Compute what is computed twice from the same tensors only once."""
+    known: dict[Any, fx.Node] = {}
+    for node in list(graph.nodes):
+        if node.op != "call_function" or _is_random(node) or _mutates(node):
+            continue
+        if any(_mutates(user) for user in node.users):
+            continue
+        first = known.setdefault(repr((node.target, node.args, node.kwargs)), node)
+        if first is not node:
+            node.replace_all_uses_with(first)
+            graph.erase_node(node)
+
+
 def _are_equal(one: torch.Tensor, other: torch.Tensor) -> bool:
     return torch.equal(one.nan_to_num(), other.nan_to_num())
 
@@ -193,9 +209,18 @@ def _place(tensor: torch.Tensor) -> tuple[Any, ...]:
     return memory, tensor.data_ptr(), *_layout(tensor)
 
 
-def _writes(node: fx.Node) -> bool:
+def _mutates(node: fx.Node) -> bool:
     schema = getattr(node.target, "_schema", None)
     return schema is not None and schema.is_mutable
+
+
+def _writes(node: fx.Node) -> bool:
+    """Whether a node writes into what others may read, and not only fills new memory."""
+    if not _mutates(node):
+        return False
+    place = node.args[0]
+    is_new = isinstance(place, fx.Node) and place.target in _NEW_MEMORY
+    return not (is_new and len(place.users) == 1)  # pyright: ignore
 
 
 def _split(whole: fx.GraphModule, count: int) -> tuple[fx.GraphModule, fx.GraphModule]:
@@ -208,6 +233,7 @@ def _split(whole: fx.GraphModule, count: int) -> tuple[fx.GraphModule, fx.GraphM
     all_vary = any(_writes(node) for node in nodes)
     for node in nodes:
         varies = _is_random(node) or varying.intersection(node.all_input_nodes)
+        varies = varies or any(_mutates(user) for user in node.users)
         if varies or (all_vary and node.op == "call_function"):
             varying.add(node)
     early: dict[fx.Node, fx.Node] = {}

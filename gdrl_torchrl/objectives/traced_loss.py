@@ -22,7 +22,8 @@ class TracedLoss:
 
     Args:
         loss: The loss module. What it does must not depend on anything but the
-            minibatch, its parameters, its buffers and torch's global generator.
+            minibatch, its parameters, its buffers and torch's global generator. These
+            may change in place, but must stay the same tensors.
         parameters: What gradients are taken of; the sum of all entries whose names begin
             with ``loss`` is minimised, as TorchRL's trainers do.
         diagnostics: Other entries that are wanted; None are all. What nobody wants is not
@@ -112,14 +113,17 @@ class _Traced:
             if gradient is not None
         ]
         torch.set_rng_state(state)
-        self.graph: TracedFunction | None = trace(self._run, self._constants(), tensors)
+        # A network and its target may share some.
+        weights = [*self.loss.parameters(), *self.loss.buffers()]
+        self.weights = list({id(tensor): tensor for tensor in weights}.values())
+        self.graph: TracedFunction | None = trace(self._run, self.weights, tensors)
 
     def __call__(self, batch: TensorDictBase) -> TensorDict:
         inputs = [batch.get(key) for key in self.keys]
         if self.graph is None:
             outputs = self._run([], inputs)
         else:
-            outputs = self.graph.run(self.graph.prepare(self._constants()), inputs)
+            outputs = self.graph.run(self.graph.prepare(self.weights), inputs)
         count = len(self.names)
         for parameter in self.parameters:
             parameter.grad = None
@@ -129,11 +133,6 @@ class _Traced:
         for key, value in zip(self.written, rest[count:], strict=True):
             batch.set(key, value)
         return TensorDict(dict(zip(self.names, rest[:count], strict=True)))
-
-    def _constants(self) -> Tensors:
-        # A network and its target may share some.
-        tensors = [*self.loss.parameters(), *self.loss.buffers()]
-        return list({id(tensor): tensor for tensor in tensors}.values())
 
     def _run(self, constants: Tensors, inputs: Tensors) -> Tensors:
         size = inputs[0].shape[:1]

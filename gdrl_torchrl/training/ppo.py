@@ -87,7 +87,7 @@ class PPOLearner(OptimizationStepper):
         # A trainer averages whatever an update returns: nobody reads the diagnostics.
         self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
         self._rows = TensorDict()
-        self._order: list[torch.Tensor] = []
+        self._minibatches: list[Any] = []
 
     def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
         """Register with a trainer: advantages, order of an epoch, minibatches."""
@@ -103,9 +103,9 @@ class PPOLearner(OptimizationStepper):
         return batch
 
     def shuffle(self, batch: TensorDictBase) -> TensorDictBase:
-        """Draw an epoch's order of the rows."""
+        """Lay the rows of an epoch in an order that is drawn."""
         order = torch.randperm(len(self._rows), generator=self.generator)
-        self._order = list(order.split(self.minibatch_size))
+        self._minibatches = list(self._rows[order].split(self.minibatch_size))
         return batch
 
     def draw(self, batch: TensorDictBase) -> TensorDictBase:
@@ -114,9 +114,9 @@ class PPOLearner(OptimizationStepper):
         Raises:
             StopIteration: At its end, for a trainer to begin the next one.
         """
-        if not self._order:
+        if not self._minibatches:
             raise StopIteration
-        return self._rows[self._order.pop(0)]
+        return self._minibatches.pop(0)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """One update; the losses by name, detached."""

@@ -101,7 +101,8 @@ class RainbowLearner(OptimizationStepper):
         self.num_updates = 0
         self.num_episodes = 0
         self._target_and_online = target_and_online(loss)
-        self._update = Update(loss, optimizer, config.max_grad_norm)
+        # A trainer averages whatever an update returns: nobody reads the diagnostics.
+        self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
         self._anneal()
 
     def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:

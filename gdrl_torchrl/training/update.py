@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import nn
 from torchrl.objectives.common import LossModule
 
 from gdrl_torchrl.objectives.traced_loss import TracedLoss
@@ -40,6 +39,15 @@ class Update:
     def __call__(self, batch: TensorDictBase) -> TensorDict:
         """Make one update; losses and diagnostics, detached, and ``grad_norm``."""
         losses = self._loss.backward(batch)
-        norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm, foreach=True)
+        norm = self._clip_gradients()
         self.optimizer.step()
         return losses.set("grad_norm", norm)
+
+    @torch.no_grad()
+    def _clip_gradients(self) -> torch.Tensor:
+        """As ``clip_grad_norm_`` of torch, which groups tensors by device first."""
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
+        norm = torch.stack(torch._foreach_norm(gradients)).norm()
+        scale = (self.max_grad_norm / (norm + 1e-6)).clamp_max(1.0)
+        torch._foreach_mul_(gradients, scale)
+        return norm
