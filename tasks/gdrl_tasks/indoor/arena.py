@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import math
 from typing import ClassVar
 
 import numpy as np
 
-from gdrl_tasks.indoor.free_space import FreeSpace
+from gdrl_tasks.indoor.free_space import FreeSpace, middles
 from gdrl_tasks.indoor.obstacles import ABSENT_M, Shapes, make_shapes, place
 
 WALL_HALF_M = 0.05
@@ -85,14 +86,14 @@ class Arena(abc.ABC):
                 continue
             if np.hypot(*(goal - start)) < self.goal_distance_m + tolerance_m:
                 continue
-            way = space.distances_to(goal, footprint_m)[space.cells(start)]
+            way = space.distance(start, goal, footprint_m)
             if math.isfinite(way):
                 return Scene(
                     places=places,
                     start=start,
                     heading_rad=self.draw_heading(generator),
                     goal=goal,
-                    shortest_path_m=max(float(way), float(np.hypot(*(goal - start)))),
+                    shortest_path_m=max(way, float(np.hypot(*(goal - start)))),
                 )
         raise RuntimeError(f"arena {self.name!r}: no layout in {_ATTEMPTS} had a way")
 
@@ -105,16 +106,22 @@ class Arena(abc.ABC):
         is_goal: bool,
     ) -> np.ndarray | None:
         """A point with room around it: anywhere in a free cell that may hold one."""
-        x, y = np.meshgrid(space.x, space.y)
         # A point is at most half a cell's diagonal from the middle.
         fits = space.clearance >= least_m + 0.0708
-        fits &= self.may_hold(x, y, is_goal=is_goal)
+        fits &= self._cells_that_may_hold[is_goal]
         rows, columns = np.nonzero(fits)
         if len(rows) == 0:
             return None
         cell = generator.integers(len(rows))
         middle = np.array([space.x[columns[cell]], space.y[rows[cell]]])
         return middle + generator.uniform(-0.05, 0.05, 2)
+
+    @functools.cached_property
+    def _cells_that_may_hold(self) -> tuple[np.ndarray, np.ndarray]:
+        """Masks ``[R, C]`` for starts and for goals."""
+        x, y = np.meshgrid(*(middles(half) for half in self.half_extent_m))
+        start, goal = (self.may_hold(x, y, is_goal=kind) for kind in (False, True))
+        return start, goal
 
     @abc.abstractmethod
     def draw_obstacles(self, generator: np.random.Generator) -> np.ndarray:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 
 import numpy as np
 
-from gdrl_tasks.indoor.kernel import clearances, fast_sweep
+from gdrl_tasks.indoor.kernel import clearances, fast_sweep, goal_in_sight
 from gdrl_tasks.indoor.obstacles import Shapes
 
 CELL_M = 0.1
@@ -40,13 +42,26 @@ class FreeSpace:
             shapes: The shapes.
             places: Their places, ``[N, 4]``.
         """
-        x, y = (_middles(half) for half in half_extent_m)
-        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        layouts = np.zeros(len(points), dtype=np.int64)
+        x, y = (middles(half) for half in half_extent_m)
+        points, layouts = _points(half_extent_m)
         distance = clearances(
             points, layouts, places[None], shapes.is_box, shapes.half_size
         )
         return cls(x, y, distance.reshape(len(y), len(x)))
+
+    def distance(self, start: np.ndarray, goal: np.ndarray, footprint_m: float) -> float:
+        """As :meth:`distances_to`, of the cell that holds a start ``[2]`` alone."""
+        row, column = self.cells(start)
+        x, y = goal - np.array([self.x[column], self.y[row]])
+        blocked = self.clearance - footprint_m < 0.5 * CELL_M
+        # Nearly half of all goals are in sight, and then nothing need be swept.
+        everywhere = np.ones_like(self.clearance)
+        away = y / CELL_M, x / CELL_M
+        if not blocked[row, column] and goal_in_sight(
+            blocked, everywhere, int(row), int(column), *away
+        ):
+            return math.hypot(x, y)
+        return float(self.distances_to(goal, footprint_m)[row, column])
 
     def distances_to(
         self, goal: np.ndarray, footprint_m: float, *, comfort_m: float = 0.0
@@ -88,6 +103,16 @@ class FreeSpace:
         return np.clip(row, 0, len(self.y) - 1), np.clip(column, 0, len(self.x) - 1)
 
 
-def _middles(half_m: float) -> np.ndarray:
+@functools.cache
+def _points(half_extent_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of all cells ``[R * C, 2]``, and the number of their layout, 0."""
+    x, y = (middles(half) for half in half_extent_m)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return points, np.zeros(len(points), dtype=np.int64)
+
+
+@functools.cache
+def middles(half_m: float) -> np.ndarray:
+    """Middles of the cells from ``-half_m`` to ``half_m``, metres."""
     count = round(2.0 * half_m / CELL_M)
     return (np.arange(count) - 0.5 * (count - 1)) * CELL_M
