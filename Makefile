@@ -10,6 +10,7 @@ BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install $(if $(CI),--quiet) -c constraints.txt
 RUN_STAMP := $(VENV)/.installed-run
 DEV_STAMP := $(VENV)/.installed-dev
+BENCH_STAMP := $(VENV)/.installed-bench
 
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
@@ -19,7 +20,7 @@ help:
 	@echo 'make train [EXPERIMENT=$(EXPERIMENT)] [ARGS="seed=1 ..."]   train; prints the run directory last'
 	@echo 'make test [ARGS="-k genome"]    run the tests'
 	@echo 'make lint                       check style, types and the dependency direction'
-	@echo 'make bench [ARGS="..."]         measure the throughput of populations'
+	@echo 'make bench [ARGS="ppo_epoch"]   measure speed: all benchmarks, or those that are named'
 	@echo 'make clean                      remove .venv and what builds and tests leave; runs stay'
 
 # Messages of the installation go to standard error: the last line that `make train`
@@ -39,6 +40,11 @@ $(DEV_STAMP): pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP_INSTALL) -e '.[test,dev]' >&2
 	@touch $@ $(RUN_STAMP)
 
+$(BENCH_STAMP): pyproject.toml constraints.txt | $(BIN)/python
+	@echo 'Installing the package and what it is compared with (once; torch is large)' >&2
+	@$(PIP_INSTALL) -e '.[bench]' >&2
+	@touch $@ $(RUN_STAMP)
+
 train: $(RUN_STAMP)
 	@$(BIN)/gdrl-train experiment=$(EXPERIMENT) $(ARGS)
 
@@ -51,8 +57,8 @@ lint: $(DEV_STAMP)
 	@$(BIN)/pyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports
 
-bench: $(RUN_STAMP)
-	@$(BIN)/python -m benchmarks.population_throughput $(ARGS)
+bench: $(BENCH_STAMP)
+	@$(BIN)/python -m benchmarks $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info tasks/*.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache

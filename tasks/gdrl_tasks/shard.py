@@ -49,8 +49,14 @@ class Shard:
         self._qpos, self._qvel = qpos, qvel
         self._engine_qpos = self.batch.bind("qpos")
         self._engine_qvel = self.batch.bind("qvel")
-        self._time = self.batch.bind("time")
-        self._xfrc = self.batch.bind("xfrc_applied")
+        if task.has_substep_forces:
+            self._apply_forces = task.bind_forces(
+                arrays,
+                self._engine_qpos,
+                self._engine_qvel,
+                self.batch.bind("time"),
+                self.batch.bind("xfrc_applied"),
+            )
         self._control = self.batch.bind("ctrl") if model.nu else None
         self._warnings = np.zeros(len(qpos), dtype=np.int64)
         self._fields = {name: self.batch.expand(name) for name in task.model_fields}
@@ -80,14 +86,7 @@ class Shard:
             self._control[...] = self.arrays["control"]
         if self.task.has_substep_forces:
             for _ in range(substeps):
-                self.task.apply_forces(
-                    self.arrays,
-                    ids,
-                    self._engine_qpos,
-                    self._engine_qvel,
-                    self._time,
-                    self._xfrc,
-                )
+                self._apply_forces(ids)
                 self.batch.step(ids)
         else:
             self.batch.step(ids, substeps)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -208,6 +208,20 @@ class NavigationTask(abc.ABC):
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Observations beside goal distance and bearing, ``[K]`` or ``[K, size]``."""
+
+    def bind_forces(
+        self,
+        arrays: WorldArrays,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        time_s: np.ndarray,
+        xfrc_applied: np.ndarray,
+    ) -> Callable[[WorldIndex], None]:
+        """:meth:`apply_forces` as a function of the worlds alone, ``[K]``.
+
+        The arrays stay where they are, so what needs them all can be made ready once.
+        """
+        return lambda ids: self.apply_forces(arrays, ids, qpos, qvel, time_s, xfrc_applied)
 
     def apply_forces(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -270,20 +271,25 @@ class WaterTask(NavigationTask):
         xfrc_applied: np.ndarray,
     ) -> None:
         """Water and thrusters; ``xfrc_applied`` is ``[W, bodies, 6]``, the hull last."""
-        substep(
-            ids,
-            qpos,
-            qvel,
-            time_s,
-            xfrc_applied[:, -1],
-            arrays["thrust"],
-            arrays["command"],
-            arrays["current"],
-            sea_arrays(arrays),
+        self.bind_forces(arrays, qpos, qvel, time_s, xfrc_applied)(ids)
+
+    def bind_forces(
+        self,
+        arrays: WorldArrays,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        time_s: np.ndarray,
+        xfrc_applied: np.ndarray,
+    ) -> Callable[[WorldIndex], None]:
+        """:meth:`apply_forces` as a function of the worlds alone, ``[K]``."""
+        own = (arrays["thrust"], arrays["command"], arrays["current"], sea_arrays(arrays))
+        constants = (
             self._constants,
             self.spec.substep_s,
             self.options.dead_zone_compensated,
         )
+        state = (qpos, qvel, time_s, xfrc_applied[:, -1])
+        return lambda ids: substep(ids, *state, *own, *constants)
 
     def observe_extra(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
