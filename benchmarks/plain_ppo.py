@@ -126,9 +126,9 @@ class PPO:
     def learn(self, batch: Collected) -> None:
         """All epochs of an iteration."""
         tensors = (batch.observation, batch.seen[0])
-        tensors += before_tanh(batch.action, batch.log_prob) + self.estimate(batch)
-        rows = [tensor.flatten(0, 1) for tensor in tensors]
+        tensors += before_tanh(batch.action, batch.log_prob)
         for _ in range(self.num_epochs):
+            rows = [tensor.flatten(0, 1) for tensor in tensors + self.estimate(batch)]
             order = torch.randperm(len(rows[0]))
             parts = [row.index_select(0, order).split(self.minibatch_size) for row in rows]
             for minibatch in zip(*parts, strict=True):
