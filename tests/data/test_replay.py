@@ -11,8 +11,10 @@ from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 from gdrl_torchrl.data.n_step import NStep
 from gdrl_torchrl.data.replay import (
     buffer_state,
+    draw_minibatch,
     load_buffer_state,
     make_prioritized_buffer,
+    note_errors,
     random_share,
     share_experience,
 )
@@ -153,6 +155,23 @@ def test_priorities_are_read_from_what_a_loss_writes_into_a_sample():
     sample["td_error"] = torch.where(sample["index"] == 4, 5.0, 0.0)[:, None]
     buffer.update_tensordict_priority(sample)
     assert set(draws(buffer, 5).flatten().tolist()) == {4}
+
+
+def test_a_minibatch_is_the_buffers_sample_and_its_errors_are_priorities():
+    buffers = [make(), make()]
+    for buffer in buffers:
+        buffer.extend(make_rows(0, 50))
+    plain, short = buffers
+    for _ in range(5):
+        expected, found = plain.sample(), draw_minibatch(short)
+        assert set(found.keys(True, True)) == set(expected.keys(True, True))
+        assert (found == expected).all()
+        error = torch.rand(len(found), 1)
+        plain.update_tensordict_priority(expected.set("td_error", error))
+        note_errors(short, found.set("td_error", error))
+        rows = torch.arange(50)
+        trees = [torch.as_tensor(buffer.sampler._sum_tree[rows]) for buffer in buffers]
+        assert torch.equal(*trees)
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.24, 2), (0.5, 5), (1.0, 10)])

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl.modules.graph import TracedFunction
+from gdrl_torchrl.modules.graph import TracedFunction, trace
 
 
 def tensors(*shapes, seed=0):
@@ -105,3 +105,73 @@ def test_what_the_function_raises_is_raised():
 
     with pytest.raises(KeyError, match="nothing here"):
         TracedFunction(look, tensors((1,)), tensors((1,)))
+
+
+def test_what_is_computed_twice_is_computed_once():
+    def twice(constants, inputs):
+        return [inputs[0].exp() + inputs[0].exp(), inputs[0].exp() - 1.0]
+
+    inputs = tensors((3,))
+    traced = TracedFunction(twice, [], inputs)
+    assert traced.num_operations == 3
+    for one, other in zip(traced.run([], inputs), twice([], inputs), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_equal_draws_stay_two():
+    def draws(constants, inputs):
+        return [torch.rand_like(inputs[0]) - torch.rand_like(inputs[0])]
+
+    traced = TracedFunction(draws, [], tensors((50,)))
+    assert (traced.run([], tensors((50,)))[0] != 0.0).all()
+
+
+def noise(constants, inputs):
+    """Numbers that are drawn in place, into memory that is new."""
+    return [inputs[0] + constants[0].exp() * torch.empty(3).normal_(), constants[0].exp()]
+
+
+def test_what_fills_new_memory_keeps_nothing_from_being_left_out():
+    (scale,), (x,) = tensors((3,)), tensors((3,), seed=1)
+    traced = TracedFunction(noise, [scale], [x])
+    # Memory, the draw, a product and a sum.
+    assert traced.num_operations == 4
+    prepared = traced.prepare([scale])
+    torch.manual_seed(0)
+    found = [traced.run(prepared, [x])[0] for _ in range(2)]
+    torch.manual_seed(0)
+    expected = [noise([scale], [x])[0] for _ in range(2)]
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_tracing_finds_random_functions_equal_and_draws_nothing():
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    assert trace(noise, tensors((3,)), tensors((3,))) is not None
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_other_randomness_and_looks_at_numbers_are_not_traced():
+    generator = torch.Generator().manual_seed(0)
+
+    def private(constants, inputs):
+        return [inputs[0] + torch.rand(3, generator=generator)]
+
+    def looking(constants, inputs):
+        return [inputs[0] if inputs[0].sum() > 0 else -inputs[0]]
+
+    assert trace(private, [], tensors((3,))) is None
+    assert trace(looking, [], tensors((3,))) is None
+
+
+def test_gradients_that_a_function_takes_are_part_of_its_graph():
+    def slope(constants, inputs):
+        with torch.enable_grad():
+            x = inputs[0].detach().requires_grad_()
+            return list(torch.autograd.grad((constants[0] * x.sin()).sum(), [x]))
+
+    constants, inputs = tensors((3,)), tensors((3,), seed=1)
+    traced = trace(slope, constants, inputs)
+    found = traced.run(traced.prepare(constants), inputs)[0]
+    assert torch.equal(found, constants[0] * inputs[0].cos())
