@@ -18,6 +18,14 @@ from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.envs.record import StepRecord
 from gdrl_torchrl.modules.traced_policy import TracedPolicy
 
+_OPTIONS = (
+    "frames_per_batch",
+    "total_frames",
+    "exploration_type",
+    "postproc",
+    "auto_register_policy_transforms",
+)
+
 
 def make_collector(
     env: EnvBase,
@@ -62,7 +70,12 @@ class NavigationCollector(Collector):
         policy_keys: Outputs of the policy, beside the action, that the batches hold.
         trace: Whether to trace the policy. One that keeps a state in Python objects must
             not be.
-        **options: As of :class:`torchrl.collectors.Collector`.
+        **options: As of :class:`torchrl.collectors.Collector`: ``frames_per_batch``,
+            ``total_frames``, ``exploration_type``, ``postproc`` and
+            ``auto_register_policy_transforms``.
+
+    Raises:
+        ValueError: If another option of that is given: it would do nothing.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -86,6 +99,12 @@ class NavigationCollector(Collector):
         trace: bool = True,
         **options: Any,
     ) -> None:
+        unknown = sorted(set(options) - set(_OPTIONS))
+        if unknown:
+            raise ValueError(
+                f"options {unknown} are not those of a NavigationCollector, {_OPTIONS}: "
+                "take TorchRL's Collector"
+            )
         super().__init__(create_env_fn, policy, track_traj_ids=False, **options)
         self._traced = TracedPolicy(policy, [keys.ACTION, *policy_keys], trace=trace)
 

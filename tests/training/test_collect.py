@@ -154,3 +154,29 @@ def test_other_environments_get_the_collector_of_torchrl():
     assert type(collector) is Collector
     assert next(iter(collector)).batch_size == (2, 2)
     collector.shutdown()
+
+
+def test_options_that_it_does_not_have_are_refused():
+    task = task_of("water")
+    with pytest.raises(ValueError, match="init_random_frames"):
+        NavigationCollector(
+            make_env(task, 2),
+            normal(task),
+            policy_keys=[],
+            frames_per_batch=4,
+            total_frames=-1,
+            init_random_frames=100,
+        )
+
+
+def test_every_batch_passes_through_the_postproc():
+    task = task_of("water")
+    collector = NavigationCollector(
+        make_env(task, 2),
+        normal(task),
+        policy_keys=[],
+        frames_per_batch=4,
+        total_frames=8,
+        postproc=lambda batch: batch.select("action"),
+    )
+    assert [set(batch.keys()) for batch in collector] == [{"action"}] * 2
