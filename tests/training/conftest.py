@@ -7,8 +7,8 @@ import json
 
 import pytest
 
+from gdrl_torchrl.analysis import figures
 from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training import run
 
 TINY_WATER = (
     "experiment=gppo_water",
@@ -81,7 +81,7 @@ def tiny_of_each(request, tmp_path):
 def without_figures(monkeypatch):
     """Runs draw nothing: their figures have tests of their own."""
     for name in ("draw_learning_curve", "draw_trajectories"):
-        monkeypatch.setattr(run, name, lambda path: None)
+        monkeypatch.setattr(figures, name, lambda path: None)
 
 
 @pytest.fixture
