@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
 from gdrl_torchrl import keys
-from gdrl_torchrl.envs.record import at_rest, make_entries
+from gdrl_torchrl.envs.record import RECORDED, make_entries
 
 
 class NavigationEnv(EnvBase):
@@ -40,6 +40,9 @@ class NavigationEnv(EnvBase):
         >>> env.rollout(3)["next", "reward"].shape
         torch.Size([4, 3, 1])
     """
+
+    recorded = RECORDED
+    """Arrays of the simulation that :meth:`entries` are made of."""
 
     def __init__(
         self,
@@ -116,15 +119,7 @@ class NavigationEnv(EnvBase):
                 seeds = torch.as_tensor(episode_seed).reshape(self.batch_size).numpy()
                 seeds = seeds if ids is None else seeds[ids]
             self.simulation.reset(ids, seeds)
-        return self.at_rest(self._observation())
-
-    def at_rest(self, observation: np.ndarray) -> TensorDict:
-        """Entries ``[W]`` of the worlds as they are, before they act.
-
-        Args:
-            observation: What they observe, ``[W, D]``, float32.
-        """
-        return at_rest(self.entries(observation, self.simulation.arrays))
+        return self.entries(self._observation(), self.simulation.arrays)
 
     def entries(self, observation: np.ndarray, arrays: dict[str, np.ndarray]) -> TensorDict:
         """All entries but the reward, of worlds or of worlds at several steps ``[...]``.

@@ -91,10 +91,3 @@ def make_entries(
         out[name] = recorded[name].astype(np.float32)
     entries: dict[str, Any] = {name: torch.from_numpy(x) for name, x in out.items()}
     return TensorDict(entries, batch_size=observation.shape[:-1])
-
-
-def at_rest(entries: TensorDict) -> TensorDict:
-    """Entries, changed in place to those before the next step: nothing has ended."""
-    for name in (keys.DONE, keys.TERMINATED, keys.TRUNCATED):
-        entries.set(name, torch.zeros_like(entries.get(name)))
-    return entries

@@ -136,5 +136,5 @@ class NavigationCollector(Collector):
         chosen = zip(self._traced.out_keys, zip(*outputs, strict=True), strict=True)
         for key, values in chosen:
             batch.set(key, torch.stack(values, dim=1))
-        self._carrier = env.at_rest(observation)
+        self._carrier = env.entries(observation, simulation.arrays)
         return batch.set("next", following)

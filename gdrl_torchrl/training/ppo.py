@@ -75,16 +75,10 @@ class PPOLearner(OptimizationStepper):
         self.minibatch_size = config.minibatch_size
         self.generator = torch.Generator().manual_seed(seed)
         names: Any = loss.tensor_keys
-        self._keys = list(
-            dict.fromkeys(
-                [
-                    *loss.actor_network.in_keys,
-                    *loss.critic_network.in_keys,
-                    *(names.action, names.sample_log_prob),
-                    *(names.advantage, names.value_target, names.value),
-                ]
-            )
-        )
+        read = [*loss.actor_network.in_keys, *loss.critic_network.in_keys]
+        read += [names.action, names.sample_log_prob]
+        read += [names.advantage, names.value_target, names.value]
+        self._keys = list(dict.fromkeys(read))
         # A trainer averages whatever an update returns: nobody reads the diagnostics.
         self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
         self._minibatches: list[Any] = []

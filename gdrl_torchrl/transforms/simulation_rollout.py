@@ -86,7 +86,7 @@ class SimulationRollout:
         returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
         finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
         limit = self.evaluator.max_steps
-        episodes = None if log is None else _EpisodeLog(self.simulation, observation)
+        episodes = None if log is None else _EpisodeLog(self.env, observation)
         slots = self._blocks(live, trials, None)
         where = np.empty(count, dtype=np.int64)
         while len(live):
@@ -115,7 +115,7 @@ class SimulationRollout:
             shaped = torch.from_numpy(value).reshape(members, trials)
             self.scores.set_(name, shaped.to(self.scores[name].dtype))
         if log is not None and episodes is not None:
-            log.append(episodes.transitions(self.env, trials, offset))
+            log.append(episodes.transitions(trials, offset))
 
     def _act(
         self, observation: np.ndarray, slots: np.ndarray
@@ -176,15 +176,13 @@ class _EpisodeLog:
     """Transitions of episodes, each world's from its first step to its last.
 
     Args:
-        simulation: The worlds.
+        env: The environment that the worlds are of.
         observation: What they observe before the first step, ``[W, D]``, float32.
     """
 
-    def __init__(self, simulation: BatchSimulation, observation: np.ndarray) -> None:
-        self._simulation = simulation
-        # Those with one number per world; the others are the task's own.
-        self._names = [n for n, x in simulation.arrays.items() if x.ndim == 1]
-        self._first = {n: simulation.arrays[n].copy() for n in self._names}
+    def __init__(self, env: Any, observation: np.ndarray) -> None:
+        self._env, self._arrays = env, env.simulation.arrays
+        self._first = {name: self._arrays[name].copy() for name in env.recorded}
         self._observed = observation.copy()
         self._steps: list[tuple[Any, ...]] = []
 
@@ -199,13 +197,11 @@ class _EpisodeLog:
 
         ``observation`` ``[W, D]`` is what all worlds observe after it.
         """
-        after = [self._simulation.arrays[name][worlds] for name in self._names]
+        after = [self._arrays[name][worlds] for name in self._first]
         self._steps.append((worlds, action, reward, observation[worlds], *after))
 
-    def transitions(
-        self, env: EnvBase, trials: int, offset: tuple[int, int]
-    ) -> TensorDictBase:
-        """All transitions ``[N]`` in ``env``'s entries, world after world.
+    def transitions(self, trials: int, offset: tuple[int, int]) -> TensorDictBase:
+        """All transitions ``[N]`` in the environment's entries, world after world.
 
         World ``w`` played episode ``w % trials`` of member ``w // trials``, both counted
         from ``offset``.
@@ -222,11 +218,10 @@ class _EpisodeLog:
             values[begins] = first[began]
             return values
 
-        named = dict(zip(self._names, after, strict=True))
+        named = dict(zip(self._first, after, strict=True))
         earlier = {name: before(self._first[name], x) for name, x in named.items()}
-        entries: Any = env
-        rows = entries.entries(before(self._observed, observation), earlier)
-        following = entries.entries(observation, named)
+        rows = self._env.entries(before(self._observed, observation), earlier)
+        following = self._env.entries(observation, named)
         following.set(keys.REWARD, torch.from_numpy(reward)[:, None])
         lengths = np.diff(begins, append=len(world))
         added = {
