@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,16 @@ _MISSING = object()
 
 
 def find_runs(folder: str | Path) -> list[Path]:
-    """Run directories below a folder, in the order of their names."""
-    return sorted(path.parent for path in Path(folder).rglob("config.json"))
+    """Run directories below a folder, in the order of their names.
+
+    What is inside a run is left alone: checkpoints of one that is training come and go.
+    """
+    runs = []
+    for path, folders, files in os.walk(folder):
+        if "config.json" in files:
+            runs.append(Path(path))
+            folders.clear()
+    return sorted(runs)
 
 
 def state_of(run: Path) -> str:

@@ -84,6 +84,15 @@ def test_runs_are_filtered_by_state_and_by_any_key(make, tmp_path):
         select_runs(runs, {"task.see": "calm"})
 
 
+def test_nothing_inside_a_run_is_looked_for(make, tmp_path):
+    run = make("running")
+    nested = run / "checkpoints" / "staged"
+    nested.mkdir(parents=True)
+    (nested / "config.json").write_text("{}")
+    assert find_runs(tmp_path) == [run]
+    assert find_runs(tmp_path / "nothing") == []
+
+
 def test_the_table_is_aligned_and_has_dashes_where_nothing_is_known(make):
     rows = [run_row(make("done")), run_row(make("stopped", seed=1))]
     lines = format_table(rows, ("state", "success_rate", "wall_s")).splitlines()

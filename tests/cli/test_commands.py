@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from gdrl_torchrl.analysis.run_table import find_runs
 from gdrl_torchrl.cli.evaluate import evaluate_run
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
@@ -101,8 +102,8 @@ def rows_of(metrics):
 def wait_for_rows(folder, count, *, seconds=120):
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
-        for metrics in folder.rglob("metrics.csv"):
-            if len(rows_of(metrics)) >= count:
+        for metrics in (run / "metrics.csv" for run in find_runs(folder)):
+            if metrics.exists() and len(rows_of(metrics)) >= count:
                 return metrics.parent
         time.sleep(0.05)
     raise AssertionError("training did not begin")
