@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import finish
+from gdrl_torchrl.analysis.run_table import find_runs
 
 BARS = {"water": ("gppo_water", 0.9), "indoor": ("grainbow_indoor", 0.75)}
 """Experiment and success rate of each task."""
@@ -81,9 +82,10 @@ def is_full(row: dict[str, str]) -> bool:
 
 def read_rows(folder: Path) -> list[dict[str, str]]:
     """The rows of the only run below a folder that are written to their ends."""
-    for path in folder.rglob("metrics.csv"):
-        text, end, _ = path.read_text().rpartition("\n")
-        return list(csv.DictReader(io.StringIO(text + end)))
+    for run in find_runs(folder):
+        if (run / "metrics.csv").exists():
+            text, end, _ = (run / "metrics.csv").read_text().rpartition("\n")
+            return list(csv.DictReader(io.StringIO(text + end)))
     return []
 
 

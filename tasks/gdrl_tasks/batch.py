@@ -80,7 +80,7 @@ class BatchSimulation:
         self.num_threads = num_threads or os.cpu_count() or 1
         self.seed = seed
         self.num_episodes_begun = 0
-        self.model = mujoco.MjModel.from_xml_string(task.xml())
+        self.model = task.engine_model()
         self.arrays = task.allocate(num_worlds)
         self.qpos = np.zeros((num_worlds, self.model.nq))
         self.qvel = np.zeros((num_worlds, self.model.nv))

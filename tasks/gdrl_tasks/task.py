@@ -14,6 +14,7 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from gdrl_tasks.kernels import (
@@ -179,7 +180,15 @@ class NavigationTask(abc.ABC):
 
     @abc.abstractmethod
     def xml(self) -> str:
-        """The model that every engine loads."""
+        """The model, with all that is seen of it."""
+
+    def engine_model(self) -> mujoco.MjModel:
+        """The model that batches of worlds step, which nobody sees: here the whole one.
+
+        Tasks whose scenery costs the engine time may leave it out, see
+        :func:`~gdrl_tasks.scenery.without_scenery`.
+        """
+        return mujoco.MjModel.from_xml_string(self.xml())
 
     @abc.abstractmethod
     def draw_episode(self, seed: int) -> Episode:

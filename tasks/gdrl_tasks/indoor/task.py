@@ -31,6 +31,7 @@ from gdrl_tasks.indoor.robot import (
     obstacle_geoms,
 )
 from gdrl_tasks.indoor.scenery import draw_scan
+from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import (
     Episode,
     NavigationTask,
@@ -141,7 +142,8 @@ class IndoorTask(NavigationTask):
         self._turn_rates = np.radians(options.turn_rates_deg_s)
         speeds = np.full(len(self._turn_rates), options.speed_m_s)
         self._discrete = self.wheel_rates(speeds, self._turn_rates)
-        self._geoms = obstacle_geoms(mujoco.MjModel.from_xml_string(self.xml()))
+        # The same in both models: what is left out comes after them.
+        self._geoms = obstacle_geoms(self.engine_model())
 
     @property
     def distance_scale_m(self) -> float:
@@ -156,6 +158,10 @@ class IndoorTask(NavigationTask):
             substep_s=self.spec.substep_s,
             goal_tolerance_m=self.goal_tolerance_m,
         )
+
+    def engine_model(self) -> mujoco.MjModel:
+        """Without scenery."""
+        return without_scenery(self.xml())
 
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
         """Wheel speeds, obstacles and the last scan."""

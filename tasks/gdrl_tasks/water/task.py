@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Literal
 
+import mujoco
 import numpy as np
 
 from gdrl_tasks.checks import (
@@ -17,6 +18,7 @@ from gdrl_tasks.checks import (
     check_range,
     check_times,
 )
+from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull
@@ -188,6 +190,10 @@ class WaterTask(NavigationTask):
             farthest_goal_m=self.goal_distance_m[1],
             goal_tolerance_m=self.goal_tolerance_m,
         )
+
+    def engine_model(self) -> mujoco.MjModel:
+        """Without scenery."""
+        return without_scenery(self.xml())
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
         """Bring the drawn sea, the floating goal and the chase camera up to date."""
