@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import platform
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+
+from gdrl_torchrl.analysis.run_table import find_runs
 
 
 def measure(*runs: Callable[[], int], repeats: int) -> list[list[float]]:
@@ -37,6 +42,15 @@ def ratio(own: Sequence[float], its: Sequence[float]) -> float:
 def show(label: str, value: float, digits: int = 0) -> None:
     """Print a row of a table."""
     print(f"  {label:44s} {value:12,.{digits}f}", flush=True)
+
+
+def read_rows(folder: Path) -> list[dict[str, str]]:
+    """The rows of the only run below a folder that are written to their ends."""
+    for run in find_runs(folder):
+        if (run / "metrics.csv").exists():
+            text, end, _ = (run / "metrics.csv").read_text().rpartition("\n")
+            return list(csv.DictReader(io.StringIO(text + end)))
+    return []
 
 
 def finish(results: dict[str, Any]) -> None:

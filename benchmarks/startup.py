@@ -15,7 +15,6 @@ once before, unmeasured. The last line is a JSON object.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import signal
 import statistics
@@ -26,7 +25,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import finish, show
+from benchmarks.common import finish, read_rows, show
 
 COMMAND = [sys.executable, "-m", "gdrl_torchrl.cli.train"]
 HELP_BAR_S = 3.0
@@ -49,11 +48,7 @@ def help_s() -> float:
 
 def clock_of_rows(folder: Path) -> list[float]:
     """Training seconds at the whole rows of the only run below a folder."""
-    for path in folder.rglob("metrics.csv"):
-        lines = path.read_text().splitlines(keepends=True)
-        rows = csv.DictReader(line for line in lines if line.endswith("\n"))
-        return [float(row["wall_s"]) for row in rows]
-    return []
+    return [float(row["wall_s"]) for row in read_rows(folder)]
 
 
 def run_until(folder: Path, experiment: str, rows: int) -> float:

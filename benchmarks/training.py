@@ -17,9 +17,7 @@ part in. The last line is a JSON object.
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
-import io
 import os
 import signal
 import statistics
@@ -30,8 +28,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import finish
-from gdrl_torchrl.analysis.run_table import find_runs
+from benchmarks.common import finish, read_rows
 
 BARS = {"water": ("gppo_water", 0.9), "indoor": ("grainbow_indoor", 0.75)}
 """Experiment and success rate of each task."""
@@ -78,15 +75,6 @@ def is_full(row: dict[str, str]) -> bool:
         return False
     count = float(row["success_rate"]) * WINDOW
     return abs(count - round(count)) < 1e-6
-
-
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    """The rows of the only run below a folder that are written to their ends."""
-    for run in find_runs(folder):
-        if (run / "metrics.csv").exists():
-            text, end, _ = (run / "metrics.csv").read_text().rpartition("\n")
-            return list(csv.DictReader(io.StringIO(text + end)))
-    return []
 
 
 def last_row(

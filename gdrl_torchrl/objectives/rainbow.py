@@ -280,5 +280,4 @@ def resample_noise(loss: RainbowLoss) -> None:
 
 def _of_actions(logits: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
     """What ``[B, A, Z]`` says of actions ``[B]``: ``[B, Z]``."""
-    index = action[:, None, None].expand(-1, 1, logits.shape[-1])
-    return logits.gather(-2, index).squeeze(-2)
+    return logits[torch.arange(len(action), device=action.device), action]

@@ -20,6 +20,8 @@ from gdrl_tasks.task import NavigationTask, WorldIndex
 _logger = logging.getLogger(__name__)
 _WORLDS_PER_THREAD = 8
 """Below this many worlds a second thread costs more than it saves."""
+_WORLDS_PER_SHARD = 20
+"""The same where every thread runs a loop over substeps, and they take turns in Python."""
 
 
 class StepResult(NamedTuple):
@@ -85,7 +87,8 @@ class BatchSimulation:
         self.qpos = np.zeros((num_worlds, self.model.nq))
         self.qvel = np.zeros((num_worlds, self.model.nv))
         self._all = np.arange(num_worlds)
-        count = max(1, min(self.num_threads, num_worlds // _WORLDS_PER_THREAD))
+        enough = _WORLDS_PER_SHARD if task.has_substep_forces else _WORLDS_PER_THREAD
+        count = max(1, min(self.num_threads, num_worlds // enough))
         self._engine_threads = 1
         if not task.has_substep_forces:
             count, self._engine_threads = 1, count
