@@ -145,6 +145,12 @@ def test_what_fills_new_memory_keeps_nothing_from_being_left_out():
         assert torch.equal(one, other)
 
 
+def test_new_memory_that_happens_to_be_equal_makes_no_difference(monkeypatch):
+    monkeypatch.setattr("gdrl_torchrl.modules.graph._are_equal", lambda one, other: True)
+    traced = TracedFunction(noise, tensors((3,)), tensors((3,)))
+    assert traced.num_operations == 4
+
+
 def test_tracing_finds_random_functions_equal_and_draws_nothing():
     torch.manual_seed(0)
     before = torch.get_rng_state()
