@@ -19,6 +19,7 @@ MODEL = """
   </body>
   <body name="mark" mocap="true"><geom size="0.2" contype="0" conaffinity="0"/></body>
   <body name="door" mocap="true"><geom size="0.2"/></body>
+  <body><freejoint/><geom size="0.3"/></body>
 </worldbody></mujoco>
 """
 
@@ -71,10 +72,10 @@ def test_walls_have_the_same_numbers_in_both_models(name):
 
 def test_only_what_touches_and_weighs_nothing_is_left_out():
     model = without_scenery(MODEL.format(geom=BOX.format(touches=0, mass=0)))
-    assert [model.geom(i).name for i in range(model.ngeom)] == ["solid", ""]
-    assert [model.body(i).name for i in range(model.nbody)] == ["world", "box", "door"]
+    assert [model.geom(i).name for i in range(model.ngeom)] == ["solid", "", ""]
+    assert [model.body(i).name for i in range(model.nbody)] == ["world", "box", "door", ""]
     assert (model.ncam, model.nlight) == (0, 0)
     model = without_scenery(MODEL.format(geom=BOX.format(touches=1, mass=1)))
-    assert model.ngeom == 3
-    with pytest.raises(ValueError, match="mass of body 'box'"):
+    assert model.ngeom == 4
+    with pytest.raises(ValueError, match="mass of 'box'"):
         without_scenery(MODEL.format(geom=BOX.format(touches=0, mass=1)))

@@ -143,7 +143,7 @@ class IndoorTask(NavigationTask):
         speeds = np.full(len(self._turn_rates), options.speed_m_s)
         self._discrete = self.wheel_rates(speeds, self._turn_rates)
         # The same in both models: what is left out comes after them.
-        self._geoms = obstacle_geoms(self.engine_model())
+        self._geoms = obstacle_geoms(mujoco.MjModel.from_xml_string(self.xml()))
 
     @property
     def distance_scale_m(self) -> float:
