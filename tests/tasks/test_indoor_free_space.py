@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 import gdrl_tasks
 from gdrl_tasks.indoor.arena import ARENAS
 from gdrl_tasks.indoor.free_space import CELL_M, FreeSpace
-from gdrl_tasks.indoor.kernel import clearances
+from gdrl_tasks.indoor.kernel import clearances, goal_in_sight, sure_looks
 from gdrl_tasks.indoor.obstacles import clearance, make_shapes, place
 
 FOOTPRINT_M = 0.115
@@ -117,6 +117,51 @@ def test_the_compiled_clearances_are_the_array_function(arena):
     expected = clearance(points, layouts[which], shapes.is_box, shapes.half_size)
     found = clearances(points, which, layouts, shapes.is_box, shapes.half_size)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
+
+
+@every_arena
+def test_the_clearances_of_a_grid_are_the_array_function(arena):
+    own = ARENAS[arena]()
+    places = own.draw(np.random.default_rng(5), FOOTPRINT_M, 0.15).places
+    space = FreeSpace.of(own.half_extent_m, own.shapes, places)
+    points = np.stack(np.meshgrid(space.x, space.y), axis=-1).reshape(-1, 2)
+    around = np.broadcast_to(places, (len(points), *places.shape))
+    expected = clearance(points, around, own.shapes.is_box, own.shapes.half_size)
+    np.testing.assert_allclose(space.clearance.ravel(), expected, rtol=0.0, atol=1e-12)
+
+
+@every_arena
+def test_a_goal_is_in_sight_if_every_look_on_the_way_finds_room(arena):
+    own = ARENAS[arena]()
+    generator = np.random.default_rng(6)
+    seen = []
+    for _ in range(4):
+        places = own.draw(generator, FOOTPRINT_M, 0.15).places
+        space = FreeSpace.of(own.half_extent_m, own.shapes, places)
+        spare = (space.clearance - FOOTPRINT_M) / CELL_M
+        free, fast = 0.5, generator.choice([0.5, 2.0])
+        looks = sure_looks(spare, free, fast)
+        for row, column in np.argwhere(spare >= free)[::7]:
+            away = generator.uniform(0, len(space.y)), generator.uniform(0, len(space.x))
+            away = away[0] - row, away[1] - column
+            found = goal_in_sight(looks, row, column, *away)
+            assert found == sees(spare, free, fast, (row, column), away)
+            seen.append(found)
+    assert 0.1 < np.mean(seen) < 0.9
+
+
+def sees(spare, free, fast, start, away):
+    """A look every half cell, none left out."""
+    count = int(2.0 * np.hypot(*away)) + 1
+    fractions = np.arange(count) / count
+    cells = np.array(start) + fractions[:, None] * away
+    # A goal in the outermost half cell may round to beyond the grid.
+    cells = np.floor(cells + 0.5).astype(int)
+    inside = np.all((cells >= 0) & (cells < spare.shape), axis=1)
+    if not inside.all() or (spare[tuple(cells.T)] < fast).any():
+        return False
+    one, other = cells[:-1].T, cells[1:].T
+    return not ((spare[one[0], other[1]] < free) & (spare[other[0], one[1]] < free)).any()
 
 
 @given(seed=st.integers(0, 2**32))

@@ -8,11 +8,18 @@ import math
 
 import numpy as np
 
-from gdrl_tasks.indoor.kernel import clearances, fast_sweep, goal_in_sight
+from gdrl_tasks.indoor.kernel import (
+    clearances_on_grid,
+    fast_sweep,
+    goal_in_sight,
+    sure_looks,
+)
 from gdrl_tasks.indoor.obstacles import Shapes
 
 CELL_M = 0.1
 """Side of a grid cell."""
+_SPARE_CELLS = 0.5
+"""Room that a disc needs beside itself in a free cell, in cells."""
 _MOST_ROUNDS = 16
 """Rounds of four sweeps at most; a layout needs about three."""
 
@@ -43,22 +50,18 @@ class FreeSpace:
             places: Their places, ``[N, 4]``.
         """
         x, y = (middles(half) for half in half_extent_m)
-        points, layouts = _points(half_extent_m)
-        distance = clearances(
-            points, layouts, places[None], shapes.is_box, shapes.half_size
-        )
-        return cls(x, y, distance.reshape(len(y), len(x)))
+        clearance = clearances_on_grid(x, y, places, shapes.is_box, shapes.half_size)
+        return cls(x, y, clearance)
 
     def distance(self, start: np.ndarray, goal: np.ndarray, footprint_m: float) -> float:
         """As :meth:`distances_to`, of the cell that holds a start ``[2]`` alone."""
         row, column = self.cells(start)
         x, y = goal - np.array([self.x[column], self.y[row]])
-        blocked = self.clearance - footprint_m < 0.5 * CELL_M
+        spare = (self.clearance - footprint_m) / CELL_M
+        looks = sure_looks(spare, _SPARE_CELLS, _SPARE_CELLS)
         # Nearly half of all goals are in sight, and then nothing need be swept.
-        everywhere = np.ones_like(self.clearance)
-        away = y / CELL_M, x / CELL_M
-        if not blocked[row, column] and goal_in_sight(
-            blocked, everywhere, int(row), int(column), *away
+        if looks[row, column] and goal_in_sight(
+            looks, int(row), int(column), y / CELL_M, x / CELL_M
         ):
             return math.hypot(x, y)
         return float(self.distances_to(goal, footprint_m)[row, column])
@@ -83,12 +86,12 @@ class FreeSpace:
         Returns:
             Distances; infinite where the disc does not fit or cannot come from.
         """
-        spare = self.clearance - footprint_m
+        spare, comfort = (self.clearance - footprint_m) / CELL_M, comfort_m / CELL_M
         speed = np.ones_like(spare)
-        if comfort_m > 0.0:
-            speed = np.clip(spare / comfort_m, 0.2, 1.0)
+        if comfort > 0.0:
+            speed = np.clip(spare / comfort, 0.2, 1.0)
         return fast_sweep(
-            spare < 0.5 * CELL_M,
+            sure_looks(spare, _SPARE_CELLS, max(_SPARE_CELLS, comfort)),
             speed,
             goal[0] - self.x,
             goal[1] - self.y,
@@ -101,14 +104,6 @@ class FreeSpace:
         column = np.rint((points[..., 0] - self.x[0]) / CELL_M).astype(np.int64)
         row = np.rint((points[..., 1] - self.y[0]) / CELL_M).astype(np.int64)
         return np.clip(row, 0, len(self.y) - 1), np.clip(column, 0, len(self.x) - 1)
-
-
-@functools.cache
-def _points(half_extent_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of all cells ``[R * C, 2]``, and the number of their layout, 0."""
-    x, y = (middles(half) for half in half_extent_m)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return points, np.zeros(len(points), dtype=np.int64)
 
 
 @functools.cache

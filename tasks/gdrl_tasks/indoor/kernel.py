@@ -47,6 +47,42 @@ def clearances(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def clearances_on_grid(
+    x: np.ndarray,
+    y: np.ndarray,
+    places: np.ndarray,
+    is_box: np.ndarray,
+    half_size: np.ndarray,
+) -> np.ndarray:
+    """:func:`clearances` of all points of a grid in one layout, ``[R, C]``.
+
+    ``x`` ``[C]`` and ``y`` ``[R]`` are columns and rows; ``places`` is ``[N, 4]``.
+    """
+    nearest = np.full((len(y), len(x)), np.inf)
+    for n in range(len(is_box)):
+        # A cylinder is a box without extent, rounded by its radius: then there are no
+        # branches, and the points of a row are computed side by side.
+        half_x = half_size[n, 0] if is_box[n] else 0.0
+        half_y = half_size[n, 1] if is_box[n] else 0.0
+        radius = 0.0 if is_box[n] else half_size[n, 0]
+        middle_x, middle_y, cosine, sine = places[n]
+        for i in range(len(y)):
+            dy = y[i] - middle_y
+            row = nearest[i]
+            for j in range(len(x)):
+                dx = x[j] - middle_x
+                over_x = abs(cosine * dx + sine * dy) - half_x
+                over_y = abs(cosine * dy - sine * dx) - half_y
+                out_x = over_x if over_x > 0.0 else 0.0
+                out_y = over_y if over_y > 0.0 else 0.0
+                inside = over_x if over_x > over_y else over_y
+                inside = inside if inside < 0.0 else 0.0
+                distance = math.sqrt(out_x * out_x + out_y * out_y) + inside - radius
+                row[j] = distance if distance < row[j] else row[j]
+    return nearest
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def ahead_of(position: np.ndarray, yaw: np.ndarray, distance: float) -> np.ndarray:
     """Points ahead of (if negative, behind) positions ``[K, 2]``, ``[K, 2]``."""
     points = np.empty((len(yaw), 2))
@@ -173,39 +209,62 @@ def _to_box(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
+    """How far :func:`goal_in_sight` may go on without a look, for each cell ``[R, C]``.
+
+    ``spare`` is the room around each cell ``[R, C]``; ``free`` is how much of it a free
+    cell has, ``fast`` one that is passed at full speed, all in cells. 0 is a cell that
+    is not free, 1 one that is slow, others are one more than the looks (half a cell each)
+    until there may be something in the way, the next one included.
+    """
+    looks = np.empty(spare.shape, dtype=np.uint8)
+    for r in range(spare.shape[0]):
+        for c in range(spare.shape[1]):
+            # Room shrinks by a cell per cell at most. A look is within 0.71 cells of the
+            # middle of its own cell, within 1.12 of a corner's that it may cut.
+            sure = 2.0 * (spare[r, c] - fast - 1.9)
+            looks[r, c] = 1 + min(max(sure, 1.0), 250.0)
+            if spare[r, c] < fast:
+                looks[r, c] = 1 if spare[r, c] >= free else 0
+    return looks
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def goal_in_sight(
-    blocked: np.ndarray,
-    speed: np.ndarray,
-    row: int,
-    column: int,
-    rows_away: float,
-    columns_away: float,
+    looks: np.ndarray, row: int, column: int, rows_away: float, columns_away: float
 ) -> bool:
     """Whether the straight way from a cell to a goal is free and at full speed.
 
     Then it is the shortest, and the sweeps need not find it: their differences are of
-    first order and make it up to a tenth too long.
+    first order and make it up to a tenth too long. ``looks`` ``[R, C]`` are those of
+    :func:`sure_looks`.
     """
-    rows, columns = blocked.shape
+    rows, columns = looks.shape
+    # Two looks per cell of the way.
+    count = int(2.0 * math.sqrt(rows_away * rows_away + columns_away * columns_away)) + 1
+    step_r, step_c = rows_away / count, columns_away / count
     last_r, last_c = row, column
-    count = int(2.0 * math.hypot(rows_away, columns_away)) + 1
-    for i in range(count):
-        r = int(row + i / count * rows_away + 0.5)
-        c = int(column + i / count * columns_away + 0.5)
+    i = 0
+    while i < count:
+        r = int(row + i * step_r + 0.5)
+        c = int(column + i * step_c + 0.5)
         if not (0 <= r < rows and 0 <= c < columns):
             return False
-        if blocked[r, c] or speed[r, c] < 1.0:
+        sure = looks[r, c]
+        if sure < 2:
             return False
         # Between two cells that share a corner there may be no room.
-        if blocked[last_r, c] and blocked[r, last_c]:
+        if r != last_r and c != last_c and not looks[last_r, c] and not looks[r, last_c]:
             return False
-        last_r, last_c = r, c
+        i += sure - 1
+        last_r = int(row + (i - 1) * step_r + 0.5)
+        last_c = int(column + (i - 1) * step_c + 0.5)
     return True
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fast_sweep(
-    blocked: np.ndarray,
+    looks: np.ndarray,
     speed: np.ndarray,
     goal_dx: np.ndarray,
     goal_dy: np.ndarray,
@@ -215,19 +274,20 @@ def fast_sweep(
     """Arrival times from a goal on a grid of free cells, ``[R, C]``.
 
     See :meth:`gdrl_tasks.indoor.free_space.FreeSpace.distances_to`; ``goal_dx`` ``[C]``
-    and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal.
+    and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal; ``looks``
+    ``[R, C]`` are those of :func:`sure_looks`.
     """
-    rows, columns = blocked.shape
+    rows, columns = looks.shape
     # With a border that nothing ever comes from.
     arrival = np.full((rows + 2, columns + 2), np.inf)
-    _arrive_straight(blocked, speed, goal_dx, goal_dy, cell, arrival)
+    _arrive_straight(looks, speed, goal_dx, goal_dy, cell, arrival)
     for sweep in range(4 * most_rounds):
         changed = False
         for i in range(rows):
             r = i if sweep % 4 < 2 else rows - 1 - i
             for j in range(columns):
                 c = j if sweep % 2 == 0 else columns - 1 - j
-                if not blocked[r, c]:
+                if looks[r, c]:
                     new = _arrival_from_neighbours(arrival, r, c, cell / speed[r, c])
                     if new < arrival[r + 1, c + 1] - 1e-9:
                         arrival[r + 1, c + 1] = new
@@ -240,7 +300,7 @@ def fast_sweep(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _arrive_straight(
-    blocked: np.ndarray,
+    looks: np.ndarray,
     speed: np.ndarray,
     goal_dx: np.ndarray,
     goal_dy: np.ndarray,
@@ -250,12 +310,12 @@ def _arrive_straight(
     """Write the times of cells from which the way to the goal is straight."""
     for r in range(len(goal_dy)):
         for c in range(len(goal_dx)):
-            if blocked[r, c]:
+            if not looks[r, c]:
                 continue
             exact = math.hypot(goal_dx[c], goal_dy[r])
             if exact <= 1.5 * cell:
                 arrival[r + 1, c + 1] = exact / speed[r, c]
-            elif goal_in_sight(blocked, speed, r, c, goal_dy[r] / cell, goal_dx[c] / cell):
+            elif goal_in_sight(looks, r, c, goal_dy[r] / cell, goal_dx[c] / cell):
                 arrival[r + 1, c + 1] = exact
 
 
