@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import os
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 from torchrl.checkpoint import (
     Checkpoint,
+    CheckpointAdapter,
+    CheckpointError,
     CheckpointRotation,
-    StateDictCheckpointAdapter,
 )
 
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.training.build import Training
+
+_logger = logging.getLogger(__name__)
 
 
 class TrainingState:
@@ -73,30 +83,185 @@ class TrainingState:
 
 
 class Checkpoints:
-    """The last few checkpoints of a run, written atomically and without pickle.
+    """The last few checkpoints of a run: one file each, written aside, flushed, renamed.
+
+    A file is TorchRL's archive, whose members carry checksums, and holds no pickle.
 
     Args:
-        folder: Where they are.
-        state: What is saved.
+        folder: Where they are. Only the process that holds the run's lock may use it.
+        state: What is saved: ``state_dict`` and ``load_state_dict``.
+        identity: What a checkpoint must agree with to be loaded: names and values.
         keep: How many are kept.
     """
 
-    def __init__(self, folder: Path, state: TrainingState, *, keep: int = 2) -> None:
-        self._checkpoint = Checkpoint().register(
-            "training", state, adapter=StateDictCheckpointAdapter("archive")
+    def __init__(
+        self,
+        folder: Path,
+        state: Any,
+        identity: Mapping[str, str | int],
+        *,
+        keep: int = 2,
+    ) -> None:
+        self.folder = folder
+        self.identity = dict(identity)
+        self._checkpoint = Checkpoint(format="archive").register(
+            "training", state, adapter=SafetensorsAdapter()
         )
         self._rotation = CheckpointRotation(folder, keep_last=keep)
 
     def save(self, step: int) -> Path:
-        """Save the state under a number of steps."""
-        return self._rotation.save(self._checkpoint, step=step)
+        """Save the state under a number of steps.
+
+        Raises:
+            OSError: If it cannot be written, as on a full disk; those before are whole.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"checkpoint-{step:012d}.torchrl"
+        aside = self.folder / f".{path.name}"
+        try:
+            self._checkpoint.save(aside, metadata=self.identity)
+            # Or a loss of power might leave the name without the content.
+            _flush(aside)
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
+        _flush(self.folder)
+        self._rotation.prune()
+        return path
 
     def load_latest(self) -> bool:
-        """Restore the newest checkpoint; False if there is none."""
-        if self._rotation.latest() is None:
-            return False
-        self._rotation.load_latest(self._checkpoint)
-        return True
+        """Restore the newest checkpoint that can be used; False if there is none at all.
+
+        Those that cannot be used are named in warnings, with what is wrong, and stay.
+
+        Raises:
+            CheckpointError: If there are checkpoints, but none can be used.
+        """
+        # What a killed process had not finished.
+        for path in self.folder.glob(".*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        refused = []
+        for path in sorted(self.folder.glob("checkpoint-*"), reverse=True):
+            try:
+                self._check_identity(path)
+                self._checkpoint.load(path)
+            # Whatever a damaged file makes readers raise: there is one before it.
+            except Exception as error:
+                refused.append(f"{path.name}: {error}")
+                _logger.warning("checkpoint refused: %s", refused[-1])
+            else:
+                return True
+        if refused:
+            raise CheckpointError(
+                f"no checkpoint in {self.folder} can be used ({'; '.join(refused)}): "
+                "remove the folder to start anew"
+            )
+        return False
+
+    def _check_identity(self, path: Path) -> None:
+        found = Checkpoint.manifest(path).get("metadata", {})
+        for name, expected in self.identity.items():
+            if found.get(name) != expected:
+                raise CheckpointError(
+                    f"{name} is {found.get(name)!r}, expected {expected!r}"
+                )
+
+
+class SafetensorsAdapter(CheckpointAdapter):
+    """Saves a state of tensors, arrays and plain values as one safetensors file.
+
+    TorchRL's own adapter reads archives of tensordict, which may hold pickles and so run
+    code; this file has none: tensors, and an outline in JSON of where they belong.
+    """
+
+    adapter_id = "gdrl_torchrl.safetensors"
+    file_name = "state.safetensors"
+
+    def save(
+        self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Any
+    ) -> None:
+        """Write the state of a component below a path."""
+        path.mkdir(parents=True, exist_ok=True)
+        tensors: dict[str, torch.Tensor] = {}
+        outline = _outline(component.state_dict(*args, **kwargs), tensors)
+        metadata = {"outline": json.dumps(outline, separators=(",", ":"))}
+        save_file(tensors, path / self.file_name, metadata)
+
+    def load(
+        self,
+        component: Any,
+        path: Path,
+        *,
+        map_location: Any,
+        tensor_load_kwargs: Any,
+        args: tuple[Any, ...],
+        kwargs: Any,
+    ) -> None:
+        """Restore a component from below a path.
+
+        Raises:
+            CheckpointError: If the file is not one of :meth:`save`.
+        """
+        with safe_open(path / self.file_name, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.offset_keys()}
+            text = (file.metadata() or {}).get("outline", "null")
+        state = _filled(json.loads(text), tensors)
+        component.load_state_dict(state, *args, **kwargs)
+
+
+def _outline(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
+    """A value without its tensors, which are put beside it, as JSON can hold it.
+
+    Raises:
+        TypeError: If there is something that cannot be saved.
+    """
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (torch.Tensor, np.ndarray, np.generic)):
+        name = str(len(tensors))
+        # Copies, for the file holds every tensor once, and states may share them.
+        tensors[name] = torch.as_tensor(value).detach().cpu().clone().contiguous()
+        return {"tensor" if isinstance(value, torch.Tensor) else "array": name}
+    if isinstance(value, Mapping):
+        items = [[_plain_key(key), _outline(v, tensors)] for key, v in value.items()]
+        return {"dict": items}
+    if isinstance(value, (list, tuple)):
+        kind = "list" if isinstance(value, list) else "tuple"
+        return {kind: [_outline(item, tensors) for item in value]}
+    raise TypeError(f"{type(value).__name__} {value!r} cannot be part of a checkpoint")
+
+
+def _plain_key(key: Any) -> str | int:
+    if not isinstance(key, (str, int)):
+        raise TypeError(f"key {key!r} cannot be part of a checkpoint")
+    return key
+
+
+def _filled(outline: Any, tensors: Mapping[str, torch.Tensor]) -> Any:
+    """The value of an :func:`_outline`."""
+    if outline is None or isinstance(outline, (bool, int, float, str)):
+        return outline
+    try:
+        ((kind, content),) = outline.items()
+        if kind == "tensor":
+            return tensors[content]
+        if kind == "array":
+            return tensors[content].numpy()
+        if kind == "dict":
+            return {key: _filled(item, tensors) for key, item in content}
+        items = [_filled(item, tensors) for item in content]
+        return {"list": items, "tuple": tuple(items)}[kind]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"the outline of the state is damaged: {error!r}") from error
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def seed_everything(seed: int) -> None:

@@ -9,6 +9,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+from torchrl.checkpoint import CheckpointError
 from torchrl.record.loggers import Logger
 
 from gdrl_torchrl.config.schema import ExperimentConfig
@@ -28,7 +29,13 @@ from gdrl_torchrl.training.evaluate import (
     save_policy,
 )
 from gdrl_torchrl.training.monitor import COLUMNS, RunMonitor, is_spent
-from gdrl_torchrl.training.run_directory import MetricsTable, RunDirectory, code_version
+from gdrl_torchrl.training.run_directory import (
+    MetricsTable,
+    RunDirectory,
+    RunDirectoryError,
+    code_version,
+    run_key,
+)
 from gdrl_torchrl.training.video import (
     record_trajectories,
     save_trajectories,
@@ -131,9 +138,17 @@ def _train(
         )
         monitor.register(training.agent.trainer)
         state = TrainingState(training, monitor)
-        checkpoints = Checkpoints(directory.checkpoints, state, keep=config.checkpoint.keep)
-        if checkpoints.load_latest():
-            _logger.info("going on at %d steps", monitor.total_steps)
+        checkpoints = Checkpoints(
+            directory.checkpoints,
+            state,
+            {"configuration": run_key(config), "seed": config.seed},
+            keep=config.checkpoint.keep,
+        )
+        try:
+            if checkpoints.load_latest():
+                _logger.info("going on at %d steps", monitor.total_steps)
+        except CheckpointError as error:
+            raise RunDirectoryError(str(error)) from error
         table.cut_after(monitor.total_steps)
         if not is_spent(config.budget, monitor.counters()):
             monitor.start()

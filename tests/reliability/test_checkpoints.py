@@ -1,0 +1,260 @@
+"""Checkpoints that are damaged, foreign, crafted or cannot be written."""
+
+from __future__ import annotations
+
+import errno
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tensordict import NonTensorData, TensorDict
+from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
+
+from gdrl_torchrl.training import checkpoint
+from gdrl_torchrl.training.checkpoint import Checkpoints
+
+IDENTITY = {"configuration": "0123abcd", "seed": 0}
+
+
+class State:
+    """Something with a state, which counts how often it was restored."""
+
+    def __init__(self, content=None):
+        self.content = content
+        self.restored = 0
+
+    def state_dict(self):
+        return self.content
+
+    def load_state_dict(self, state_dict):
+        self.content = state_dict
+        self.restored += 1
+
+
+def content_of(step):
+    generator = np.random.default_rng(step)
+    return {
+        "step": step,
+        "weights": torch.from_numpy(generator.normal(size=200)),
+        "nested": {3: [np.arange(5) * step, None, (True, float("nan"), "text")]},
+    }
+
+
+def checkpoints_of(folder, state, identity=IDENTITY):
+    return Checkpoints(folder, state, identity, keep=2)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A folder with checkpoints of steps 10 and 20."""
+    for step in (10, 20):
+        checkpoints_of(tmp_path, State(content_of(step))).save(step)
+    return tmp_path
+
+
+def assert_same(found, expected):
+    assert type(found) is type(expected)
+    if isinstance(expected, dict):
+        assert list(found) == list(expected)
+        for key in expected:
+            assert_same(found[key], expected[key])
+    elif isinstance(expected, (list, tuple)):
+        assert len(found) == len(expected)
+        for pair in zip(found, expected, strict=True):
+            assert_same(*pair)
+    elif isinstance(expected, torch.Tensor):
+        torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
+    else:
+        np.testing.assert_array_equal(found, expected)
+
+
+numbers = st.integers(-(2**63), 2**63 - 1) | st.floats() | st.booleans() | st.none()
+leaves = (
+    numbers
+    | st.text(max_size=5)
+    | st.lists(st.floats(width=32), max_size=3).map(
+        lambda x: torch.tensor(x, dtype=torch.float32)
+    )
+    | st.sampled_from(["uint8", "int64", "float64", "bool", "uint64"]).map(
+        lambda kind: np.ones((2, 0, 3) if kind == "bool" else (2, 2), dtype=kind)
+    )
+)
+states = st.recursive(
+    leaves,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.lists(inner, max_size=3).map(tuple)
+        | st.dictionaries(st.text(max_size=3) | st.integers(0, 9), inner, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(content=st.dictionaries(st.text(max_size=3), states, max_size=4))
+def test_a_state_comes_back_as_it_was(content, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("checkpoints")
+    checkpoints_of(folder, State(content)).save(1)
+    back = State()
+    assert checkpoints_of(folder, back).load_latest()
+    assert_same(back.content, content)
+
+
+def test_the_newest_is_restored_and_only_so_many_are_kept(saved):
+    checkpoints_of(saved, State(content_of(30))).save(30)
+    assert sorted(path.name for path in saved.iterdir()) == [
+        "checkpoint-000000000020.torchrl",
+        "checkpoint-000000000030.torchrl",
+    ]
+    state = State()
+    assert checkpoints_of(saved, state).load_latest()
+    assert_same(state.content, content_of(30))
+
+
+def test_without_checkpoints_nothing_is_restored(tmp_path):
+    state = State()
+    assert not checkpoints_of(tmp_path / "none", state).load_latest()
+    assert state.restored == 0
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+def test_a_damaged_checkpoint_is_never_restored_wrongly(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("checkpoints")
+    for step in (10, 20):
+        newest = checkpoints_of(folder, State(content_of(step))).save(step)
+    whole = bytearray(newest.read_bytes())
+    at = data.draw(st.integers(0, len(whole) - 1))
+    if data.draw(st.booleans()):
+        newest.write_bytes(whole[:at])
+        possible = [10]
+    else:
+        whole[at] ^= 1 << data.draw(st.integers(0, 7))
+        newest.write_bytes(whole)
+        # A few bytes, such as the time of writing in the archive, mean nothing.
+        possible = [10, 20]
+    state = State()
+    assert checkpoints_of(folder, state).load_latest()
+    assert state.restored == 1
+    assert state.content["step"] in possible
+    assert_same(state.content, content_of(state.content["step"]))
+
+
+@pytest.mark.parametrize(
+    ("identity", "message"),
+    [
+        ({**IDENTITY, "seed": 1}, "seed is 0, expected 1"),
+        (
+            {**IDENTITY, "configuration": "89ef4567"},
+            "configuration is '0123abcd', expected '89ef4567'",
+        ),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused(identity, message, saved):
+    state = State()
+    with pytest.raises(CheckpointError, match=message) as refused:
+        checkpoints_of(saved, state, identity).load_latest()
+    assert str(saved) in str(refused.value)
+    assert state.restored == 0
+
+
+def test_what_is_refused_is_named(saved, caplog):
+    newest = saved / "checkpoint-000000000020.torchrl"
+    newest.write_bytes(b"nothing")
+    assert checkpoints_of(saved, State()).load_latest()
+    assert newest.name in caplog.text
+
+
+def test_a_full_disk_leaves_the_checkpoints_before(saved, monkeypatch):
+    write = checkpoint.save_file
+
+    def write_and_fail(tensors, path, metadata):
+        write(tensors, path, metadata)
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    before = {path.name: path.read_bytes() for path in saved.iterdir()}
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save_file", write_and_fail)
+        with pytest.raises(OSError, match="No space left"):
+            checkpoints_of(saved, State(content_of(30))).save(30)
+    assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
+
+
+def test_what_a_killed_process_left_unfinished_is_removed(saved):
+    (saved / "..checkpoint-30.torchrl.stage-1").mkdir()
+    (saved / "..checkpoint-30.torchrl.stage-1" / "state").write_text("half")
+    (saved / ".checkpoint-000000000030.torchrl").write_text("half")
+    state = State()
+    assert checkpoints_of(saved, state).load_latest()
+    assert_same(state.content, content_of(20))
+    assert len(list(saved.iterdir())) == 2
+
+
+def test_what_cannot_be_saved_is_named(tmp_path):
+    with pytest.raises(TypeError, match=r"set \{1\} cannot be part of a checkpoint"):
+        checkpoints_of(tmp_path, State({"a": {1}})).save(1)
+    assert not list(tmp_path.iterdir())
+
+
+class Bomb:
+    """Leaves a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def test_code_in_a_crafted_checkpoint_is_not_run(tmp_path):
+    struck = tmp_path / "struck"
+    crafted = tmp_path / "checkpoints" / "checkpoint-000000000001.torchrl"
+    theirs = Checkpoint().register(
+        "training",
+        State({"a": torch.ones(2)}),
+        adapter=StateDictCheckpointAdapter("archive"),
+    )
+    theirs.save(crafted, metadata=IDENTITY)
+    (payload,) = crafted.rglob("*.tdz")
+    payload.unlink()
+    TensorDict(code=NonTensorData(Bomb(struck)), tensor_00000000=torch.ones(2)).save(
+        payload, archive=True
+    )
+    # Making it copies the bomb, which sets it off.
+    struck.unlink(missing_ok=True)
+    state = State()
+    with pytest.raises(CheckpointError, match="adapter"):
+        checkpoints_of(crafted.parent, state).load_latest()
+    assert state.restored == 0
+    assert not struck.exists()
+    # It would have been, by the adapter that we do not use.
+    with pytest.warns(FutureWarning, match="pickle"):
+        theirs.load(crafted)
+    assert struck.exists()
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        '{"dict": [["a", {"tensor": "7"}]]}',
+        '{"run": "code"}',
+        '{"dict": 3}',
+        "[1, 2]",
+        '{"dict": [], "list": []}',
+        "not json",
+    ],
+)
+def test_a_crafted_outline_is_refused(outline, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.json, "dumps", lambda *a, **k: outline)
+        checkpoint.SafetensorsAdapter().save(
+            State({"a": torch.ones(2)}), tmp_path, args=(), kwargs={}
+        )
+    state = State()
+    with pytest.raises((CheckpointError, ValueError)):
+        checkpoint.SafetensorsAdapter().load(
+            state, tmp_path, map_location=None, tensor_load_kwargs={}, args=(), kwargs={}
+        )
+    assert state.restored == 0
