@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torchrl.checkpoint import (
     Checkpoint,
     CheckpointAdapter,
@@ -185,7 +185,8 @@ class SafetensorsAdapter(CheckpointAdapter):
         tensors: dict[str, torch.Tensor] = {}
         outline = _outline(component.state_dict(*args, **kwargs), tensors)
         metadata = {"outline": json.dumps(outline, separators=(",", ":"))}
-        save_file(tensors, path / self.file_name, metadata)
+        # Not by ``save_file``, whose errors do not say what the system said.
+        (path / self.file_name).write_bytes(save(tensors, metadata))
 
     def load(
         self,

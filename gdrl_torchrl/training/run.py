@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import logging
 import signal
 from pathlib import Path
@@ -44,6 +45,7 @@ from gdrl_torchrl.training.video import (
 
 _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class InterruptedRunError(RuntimeError):
@@ -70,7 +72,7 @@ def run_experiment(config: ExperimentConfig) -> Path:
 
     Raises:
         ValueError: If the configuration is not valid.
-        RunDirectoryError: If the directory cannot be used.
+        RunDirectoryError: If the directory cannot be used, or the disk is full.
         InterruptedRunError: If a signal stopped training.
     """
     # What is wrong is said before anything is written.
@@ -88,7 +90,16 @@ def run_experiment(config: ExperimentConfig) -> Path:
         except InterruptedRunError:
             raise
         except Exception as error:
-            directory.write_json("FAILED", {"error": f"{type(error).__name__}: {error}"})
+            # On a full disk this fails as well, and must not hide the error.
+            with contextlib.suppress(OSError):
+                directory.write_json(
+                    "FAILED", {"error": f"{type(error).__name__}: {error}"}
+                )
+            if isinstance(error, OSError) and error.errno in _FULL:
+                raise RunDirectoryError(
+                    f"{directory.path}: {error}; the checkpoints before are whole: free "
+                    "some space, and the same command goes on from them"
+                ) from error
             raise
         directory.write_json(
             "DONE",

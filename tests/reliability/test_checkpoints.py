@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,15 +169,15 @@ def test_what_is_refused_is_named(saved, caplog):
 
 
 def test_a_full_disk_leaves_the_checkpoints_before(saved, monkeypatch):
-    write = checkpoint.save_file
+    write = Path.write_bytes
 
-    def write_and_fail(tensors, path, metadata):
-        write(tensors, path, metadata)
+    def write_half(path, content):
+        write(path, content[: len(content) // 2])
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint, "save_file", write_and_fail)
+        patch.setattr(Path, "write_bytes", write_half)
         with pytest.raises(OSError, match="No space left"):
             checkpoints_of(saved, State(content_of(30))).save(30)
     assert {path.name: path.read_bytes() for path in saved.iterdir()} == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 
@@ -87,6 +88,42 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     resumed = run_experiment(config)
     assert rows_of(resumed) == rows_of(whole)
     assert evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
+
+
+def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
+    tiny, tmp_path, monkeypatch, rows_of, evaluation_of
+):
+    every = "checkpoint.interval_s=0"
+    whole = run_experiment(tiny(every, f"runs_dir={tmp_path / 'a'}"))
+    append = MetricsTable.append
+
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def append_until_full(self, row):
+        if row["agent_steps"] == 80:
+            full()
+        append(self, row)
+
+    config = tiny(every, f"runs_dir={tmp_path / 'b'}")
+    with monkeypatch.context() as patch:
+        patch.setattr(MetricsTable, "append", append_until_full)
+        patch.setattr(run.RunDirectory, "write_json", write_unless_failed(full))
+        with pytest.raises(RunDirectoryError, match="No space left") as stop:
+            run_experiment(config)
+    assert str(tmp_path / "b") in str(stop.value)
+    resumed = run_experiment(config)
+    assert rows_of(resumed) == rows_of(whole)
+    assert evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
+
+
+def write_unless_failed(full):
+    write = run.RunDirectory.write_json
+
+    def write_json(self, name, content):
+        return full() if name == "FAILED" else write(self, name, content)
+
+    return write_json
 
 
 def test_results_do_not_depend_on_threads_but_on_the_seed(
