@@ -6,9 +6,12 @@ import dataclasses
 import functools
 import types
 import typing
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from gdrl_tasks import NavigationTask, make_task, task_options
+from gdrl_tasks import make_task, task_options
+
+if TYPE_CHECKING:
+    from gdrl_tasks import NavigationTask
 
 BACKENDS = ("batch", "dm_control")
 

@@ -5,7 +5,9 @@
 >>> worlds = gdrl_tasks.simulate("water", num_worlds=4)
 """
 
-from gdrl_tasks.batch import BatchSimulation, StepResult
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.registry import (
     RegisteredTask,
@@ -16,7 +18,19 @@ from gdrl_tasks.registry import (
     task_options,
 )
 from gdrl_tasks.seeds import Stream, episode_seeds
-from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
+
+if TYPE_CHECKING:
+    from gdrl_tasks.batch import BatchSimulation, StepResult
+    from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
+
+# What imports MuJoCo and numba, which take half a second, is imported when it is used.
+_LAZY = {
+    "BatchSimulation": "gdrl_tasks.batch",
+    "StepResult": "gdrl_tasks.batch",
+    "Episode": "gdrl_tasks.task",
+    "NavigationTask": "gdrl_tasks.task",
+    "TaskSpec": "gdrl_tasks.task",
+}
 
 __all__ = [
     "BatchSimulation",
@@ -34,3 +48,13 @@ __all__ = [
     "task_names",
     "task_options",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_LAZY[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})

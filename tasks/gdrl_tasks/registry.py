@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gdrl_tasks.batch import BatchSimulation
-from gdrl_tasks.indoor.task import IndoorOptions, IndoorTask
-from gdrl_tasks.task import NavigationTask
-from gdrl_tasks.water.task import WaterOptions, WaterTask
+from gdrl_tasks.indoor.options import IndoorOptions
+from gdrl_tasks.water.options import WaterOptions
 
 if TYPE_CHECKING:
     from dm_control.rl import control
+
+    from gdrl_tasks.batch import BatchSimulation
+    from gdrl_tasks.task import NavigationTask
 
 ENTRY_POINT_GROUP = "gdrl.tasks"
 
@@ -34,9 +35,22 @@ class RegisteredTask:
     tags: tuple[str, ...] = ()
 
 
+def _indoor(options: IndoorOptions) -> NavigationTask:
+    from gdrl_tasks.indoor.task import IndoorTask
+
+    return IndoorTask(options)
+
+
+def _water(options: WaterOptions) -> NavigationTask:
+    from gdrl_tasks.water.task import WaterTask
+
+    return WaterTask(options)
+
+
+# MuJoCo and numba are imported when a task is made, not when its options are asked for.
 _BUILT_IN = (
-    RegisteredTask("indoor", IndoorOptions, IndoorTask, tags=("continuous", "discrete")),
-    RegisteredTask("water", WaterOptions, WaterTask, tags=("continuous", "discrete")),
+    RegisteredTask("indoor", IndoorOptions, _indoor, tags=("continuous", "discrete")),
+    RegisteredTask("water", WaterOptions, _water, tags=("continuous", "discrete")),
 )
 
 
@@ -136,5 +150,7 @@ def simulate(
         seed: Seed of the episodes drawn by ``reset()``.
         **options: Options of the task.
     """
+    from gdrl_tasks.batch import BatchSimulation
+
     task = make_task(name, **options)
     return BatchSimulation(task, num_worlds, num_threads=num_threads, seed=seed)

@@ -21,7 +21,8 @@ from gdrl_tasks.water.hull import (
     make_hull,
 )
 from gdrl_tasks.water.kernel import hull_constants, sea_arrays, sines, substep
-from gdrl_tasks.water.task import WaterOptions, WaterTask
+from gdrl_tasks.water.options import WaterOptions
+from gdrl_tasks.water.task import WaterTask
 
 HULL = make_hull()
 SUBSTEP_S = WaterOptions().substep_s

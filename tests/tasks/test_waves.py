@@ -7,7 +7,8 @@ import pytest
 
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull
-from gdrl_tasks.water.task import WaterOptions, WaterTask
+from gdrl_tasks.water.options import WaterOptions
+from gdrl_tasks.water.task import WaterTask
 
 GRAVITY = 9.81
 

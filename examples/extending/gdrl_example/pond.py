@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from gdrl_tasks.registry import RegisteredTask
-from gdrl_tasks.water.task import WaterOptions, WaterTask
+from gdrl_tasks.water.options import WaterOptions
+from gdrl_tasks.water.task import WaterTask
 
 
 @dataclasses.dataclass(frozen=True)

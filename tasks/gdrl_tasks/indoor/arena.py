@@ -44,7 +44,6 @@ class Arena(abc.ABC):
     Attributes:
         half_extent_m: Half the length and width inside the walls.
         shapes: Four walls, then the obstacles.
-        step_limit: Control steps that an episode takes at most unless told otherwise.
         start_clearance_m: Least distance of the start to any obstacle: room to turn
             round at full speed.
         goal_clearance_m: Least distance of the goal to any obstacle.
@@ -53,7 +52,6 @@ class Arena(abc.ABC):
 
     name: ClassVar[str]
     half_extent_m: ClassVar[tuple[float, float]]
-    step_limit: ClassVar[int] = 500
     start_clearance_m: ClassVar[float] = 0.4
     goal_clearance_m: ClassVar[float] = 0.3
     goal_distance_m: ClassVar[float] = 0.5
@@ -196,7 +194,6 @@ class CorridorArena(Arena):
 
     name = "corridor"
     half_extent_m = (5.25, 1.75)
-    step_limit = 1000
     goal_distance_m = 5.0
 
     def __init__(self) -> None:
