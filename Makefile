@@ -14,11 +14,12 @@ BENCH_STAMP := $(VENV)/.installed-bench
 
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: train test lint bench clean help
+.PHONY: train test test-full lint bench clean help
 
 help:
 	@echo 'make train [EXPERIMENT=$(EXPERIMENT)] [ARGS="seed=1 ..."]   train; prints the run directory last'
 	@echo 'make test [ARGS="-k genome"]    run the tests'
+	@echo 'make test-full                  kill, corrupt and wear out runs for up to 45 minutes'
 	@echo 'make lint                       check style, types and the dependency direction'
 	@echo 'make bench [ARGS="ppo_epoch"]   measure speed: all benchmarks, or those that are named'
 	@echo 'make clean                      remove .venv and what builds and tests leave; runs stay'
@@ -50,6 +51,9 @@ train: $(RUN_STAMP)
 
 test: $(DEV_STAMP)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+test-full: $(DEV_STAMP)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m 'full or not full' tests/reliability $(ARGS)
 
 lint: $(DEV_STAMP)
 	@$(BIN)/ruff check .

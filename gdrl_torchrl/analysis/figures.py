@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from gdrl_torchrl.analysis import style
-from gdrl_torchrl.analysis.learning_curve import make_learning_curve
+from gdrl_torchrl.analysis.learning_curve import COLUMNS, make_learning_curve
 from gdrl_torchrl.analysis.run_files import (
     EVALUATION_FILE,
+    METRICS_FILE,
+    TRAJECTORIES_FILE,
     read_evaluation,
     read_metrics,
     read_trajectories,
@@ -27,11 +29,19 @@ def draw_learning_curve(run_dir: str | Path) -> Path:
 
     Returns:
         The file written.
+
+    Raises:
+        FileNotFoundError: If there is no ``metrics.csv``.
+        ValueError: If a file is damaged; the error names it.
     """
     run_dir = Path(run_dir)
     has_evaluation = (run_dir / EVALUATION_FILE).exists()
     evaluation = read_evaluation(run_dir) if has_evaluation else None
-    figure = make_learning_curve(read_metrics(run_dir), evaluation)
+    metrics = read_metrics(run_dir)
+    for name in COLUMNS:
+        if name not in metrics:
+            raise ValueError(f"{run_dir / METRICS_FILE} has no column {name}")
+    figure = make_learning_curve(metrics, evaluation)
     return style.save(figure, run_dir / "figures" / "learning_curve.png")
 
 
@@ -43,6 +53,17 @@ def draw_trajectories(run_dir: str | Path) -> Path:
 
     Returns:
         The file written.
+
+    Raises:
+        FileNotFoundError: If there is no ``trajectories.npz``.
+        ValueError: If it is damaged; the error names it.
     """
-    figure = make_trajectories(read_trajectories(run_dir))
+    trajectories = read_trajectories(run_dir)
+    unknown = set(trajectories["outcome_names"].tolist()) - style.OUTCOME_COLOURS.keys()
+    if unknown:
+        raise ValueError(
+            f"{Path(run_dir) / TRAJECTORIES_FILE}: outcome_names has {sorted(unknown)}, "
+            f"expected some of {list(style.OUTCOME_COLOURS)}"
+        )
+    figure = make_trajectories(trajectories)
     return style.save(figure, Path(run_dir) / "figures" / "trajectories.png")

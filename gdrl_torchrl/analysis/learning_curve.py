@@ -18,6 +18,8 @@ _COSTS = (
     ("agent_steps", "steps of the agent", 1.0, 1.0),
     ("wall_s", "wall time (min)", 60.0, 1.0),
 )
+COLUMNS = ("agent_steps", "total_steps", "wall_s", "success_rate", "mut_p", "switched")
+"""What is drawn of a run's metrics."""
 
 
 def make_learning_curve(
@@ -70,7 +72,8 @@ def make_learning_curve(
     _add_legend(figure, metrics, evaluation)
     if evaluation is not None:
         title = "{algorithm} on {task}, seed {seed}".format_map(evaluation)
-        figure.suptitle(title, fontsize=12, color=style.INK)
+        # A dollar sign in a name does not begin a formula.
+        figure.suptitle(title, fontsize=12, color=style.INK, parse_math=False)
     return figure
 
 

@@ -1,21 +1,35 @@
-"""Read what a run left in its directory."""
+"""Read what a run left in its directory; nothing in it is run as code."""
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gdrl_torchrl.analysis.fields import COUNT, SOME, TEXT, read_object
+from gdrl_torchrl.analysis.metrics_file import KINDS, read_row, read_rows, split_lines
+from gdrl_torchrl.analysis.trajectories_file import check_trajectories, read_arrays
+
+CONFIG_FILE = "config.json"
 METRICS_FILE = "metrics.csv"
 EVALUATION_FILE = "evaluation.json"
 TRAJECTORIES_FILE = "trajectories.npz"
 
+_EVALUATION = {
+    "task": TEXT,
+    "algorithm": TEXT,
+    "seed": COUNT,
+    "episodes": SOME,
+    **{name: KINDS[name] for name in ("success_rate", "agent_steps", "total_steps")},
+    "wall_s": KINDS["wall_s"],
+}
+
 
 def read_metrics(run_dir: str | Path) -> dict[str, np.ndarray]:
     """Read the table of training, one row per iteration.
+
+    Of a last row that a kill cut short, the cell where it was cut is blank.
 
     Args:
         run_dir: Directory of the run.
@@ -25,20 +39,17 @@ def read_metrics(run_dir: str | Path) -> dict[str, np.ndarray]:
 
     Raises:
         FileNotFoundError: If there is no ``metrics.csv``.
-        ValueError: If a cell is not a number.
+        ValueError: If a row has more or fewer cells than the header, or a cell is not
+            what its column holds.
     """
     path = Path(run_dir) / METRICS_FILE
-    with path.open(newline="") as file:
-        reader = csv.DictReader(file)
-        names = reader.fieldnames or ()
-        # A run that was killed may leave a short last row: what is missing is blank.
-        rows = [
-            [
-                _number(row[name], f"{name} in line {reader.line_num} of {path}")
-                for name in names
-            ]
-            for row in reader
-        ]
+    names, lines, rest = split_lines(path)
+    if not names:
+        raise ValueError(f"{path} has no line with the names of its columns")
+    rows = read_rows(names, lines, path)
+    if "," in rest:
+        rows.append(read_row(names, rest, len(lines) + 2, path, is_cut=True))
+    # None becomes NaN.
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
     return {name: table[:, column].copy() for column, name in enumerate(names)}
 
@@ -51,8 +62,10 @@ def read_evaluation(run_dir: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: If there is no ``evaluation.json``.
+        ValueError: If it is not JSON, or a field that is drawn is missing or not what it
+            must be.
     """
-    return json.loads((Path(run_dir) / EVALUATION_FILE).read_text())
+    return read_object(Path(run_dir) / EVALUATION_FILE, _EVALUATION)
 
 
 def read_trajectories(run_dir: str | Path) -> dict[str, np.ndarray]:
@@ -66,15 +79,9 @@ def read_trajectories(run_dir: str | Path) -> dict[str, np.ndarray]:
 
     Raises:
         FileNotFoundError: If there is no ``trajectories.npz``.
+        ValueError: If it is damaged, or an array is missing or not what it must be.
     """
-    with np.load(Path(run_dir) / TRAJECTORIES_FILE) as file:
-        return {name: file[name] for name in file.files}
-
-
-def _number(text: str | None, what: str) -> float:
-    if text is None or not text.strip():
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError as error:
-        raise ValueError(f"{what}: {text!r} is not a number") from error
+    path = Path(run_dir) / TRAJECTORIES_FILE
+    arrays = read_arrays(path)
+    check_trajectories(arrays, path)
+    return arrays

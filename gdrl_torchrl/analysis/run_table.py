@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.analysis.run_files import EVALUATION_FILE
+from gdrl_torchrl.analysis.fields import COUNT, TEXT, read_object
+from gdrl_torchrl.analysis.metrics_file import KINDS, read_row, split_lines
+from gdrl_torchrl.analysis.run_files import CONFIG_FILE, EVALUATION_FILE, METRICS_FILE
 
 STATES = ("done", "running", "stopped", "failed")
 COLUMNS = (
@@ -26,16 +29,20 @@ COLUMNS = (
     "path",
 )
 _MISSING = object()
+_CONFIG = {"name": TEXT, "task.name": TEXT, "seed": COUNT}
+_KNOWN = {name: KINDS[name] for name in COLUMNS if name in KINDS}
+_logger = logging.getLogger(__name__)
 
 
 def find_runs(folder: str | Path) -> list[Path]:
     """Run directories below a folder, in the order of their names.
 
     What is inside a run is left alone: checkpoints of one that is training come and go.
+    Folders that cannot be read are named in warnings.
     """
     runs = []
-    for path, folders, files in os.walk(folder):
-        if "config.json" in files:
+    for path, folders, files in os.walk(folder, onerror=_warn):
+        if CONFIG_FILE in files:
             runs.append(Path(path))
             folders.clear()
     return sorted(runs)
@@ -53,28 +60,29 @@ def state_of(run: Path) -> str:
 
 
 def run_row(run: Path) -> dict[str, Any]:
-    """A run as a row of the table; None where nothing is known yet."""
-    config = json.loads((run / "config.json").read_text())
+    """A run as a row of the table; None where nothing is known yet.
+
+    The state of a run with a file that cannot be used is ``damaged``, and ``damage``,
+    which else is None, names the file and says what is wrong.
+    """
+    row: dict[str, Any] = dict.fromkeys((*COLUMNS, "damage"))
     # runs/<name>/<task>/<algorithm>/<key>/seed_<n>
-    row: dict[str, Any] = dict.fromkeys(COLUMNS)
-    row |= {
-        "state": state_of(run),
-        "name": config["name"],
-        "task": config["task"]["name"],
-        "algorithm": run.parent.parent.name,
-        "seed": config["seed"],
-        "path": str(run),
-    }
-    known = {}
-    if row["state"] == "done":
-        known = json.loads((run / EVALUATION_FILE).read_text())
-    elif (run / "metrics.csv").exists():
-        known = _last_row(run / "metrics.csv")
-    return row | {name: known[name] for name in COLUMNS[5:10] if name in known}
+    row |= {"algorithm": run.parent.parent.name, "path": str(run)}
+    try:
+        row["state"] = state_of(run)
+        config = read_object(run / CONFIG_FILE, _CONFIG)
+        row |= {"name": config["name"], "seed": config["seed"]}
+        row["task"] = config["task"]["name"]
+        row |= _results(run, row["state"])
+    except (OSError, ValueError) as error:
+        row |= {"state": "damaged", "damage": str(error)}
+    return row
 
 
 def select_runs(runs: Iterable[Path], wanted: Mapping[str, str]) -> list[Path]:
     """Runs whose state or configuration has all the wanted values.
+
+    A run whose configuration cannot be read is among them: its row says what is wrong.
 
     Args:
         runs: Run directories.
@@ -87,13 +95,15 @@ def select_runs(runs: Iterable[Path], wanted: Mapping[str, str]) -> list[Path]:
         >>> select_runs([], {})
         []
     """
-    configs = {run: json.loads((run / "config.json").read_text()) for run in runs}
+    configs = {run: _readable_config(run) for run in runs}
     for name in wanted:
-        found = [_value(config, name) is not _MISSING for config in configs.values()]
+        found = [_value(c, name) is not _MISSING for c in configs.values() if c is not None]
         if name != "state" and found and not any(found):
             raise ValueError(f"{name!r} is in no run's configuration")
 
     def matches(run: Path, name: str, text: str) -> bool:
+        if configs[run] is None:
+            return True
         value = state_of(run) if name == "state" else _value(configs[run], name)
         return value is not _MISSING and text in (str(value), json.dumps(value))
 
@@ -117,7 +127,9 @@ def _text(value: Any) -> str:
         return "-"
     if isinstance(value, float):
         return f"{value:.3f}" if abs(value) < 10 else f"{value:.0f}"
-    return str(value)
+    text = str(value)
+    # A name may hold what would break the line, or could not be written at all.
+    return text if text.isprintable() else ascii(text)
 
 
 def _value(config: Any, name: str) -> Any:
@@ -128,18 +140,45 @@ def _value(config: Any, name: str) -> Any:
     return config
 
 
+def _readable_config(run: Path) -> dict[str, Any] | None:
+    try:
+        # Its state may be wanted too.
+        state_of(run)
+        return read_object(run / CONFIG_FILE, _CONFIG)
+    except (OSError, ValueError):
+        return None
+
+
+def _results(run: Path, state: str) -> dict[str, Any]:
+    """What is known of success and costs."""
+    if state == "done":
+        required = {"success_rate": KINDS["success_rate"]}
+        known = read_object(run / EVALUATION_FILE, required, _KNOWN)
+    elif (run / METRICS_FILE).exists():
+        known = _last_row(run / METRICS_FILE)
+    else:
+        known = {}
+    return {name: known[name] for name in _KNOWN if name in known}
+
+
 def _last_row(path: Path) -> dict[str, Any]:
     # Whole lines only: a run may be writing the last one.
-    header, *rows = path.read_text().rpartition("\n")[0].splitlines() or [""]
-    if not rows:
+    names, lines, _ = split_lines(path)
+    if not lines:
         return {}
-    cells = dict(zip(header.split(","), rows[-1].split(","), strict=False))
-    known = {name: float(text) for name, text in cells.items() if text}
-    return {n: int(v) if n.endswith("steps") else v for n, v in known.items()}
+    row = read_row(names, lines[-1], len(lines) + 1, path)
+    return {
+        name: value for name, value in zip(names, row, strict=True) if value is not None
+    }
+
+
+def _warn(error: OSError) -> None:
+    _logger.warning("%s", error)
 
 
 def _is_locked(path: Path) -> bool:
-    if not path.exists():
+    # To open a pipe would take for ever.
+    if not path.is_file():
         return False
     with open(path) as file:
         try:

@@ -21,6 +21,9 @@ from gdrl_torchrl.plugins import conf_packages
 
 CONFIG_MODULE = "gdrl_torchrl.conf"
 _PROVIDER = "gdrl_torchrl"
+EXIT_SAVED = 75
+"""Exit code of a command that a signal ended once it had saved: ``EX_TEMPFAIL`` of
+sysexits.h, try again. The same command goes on."""
 
 
 class _NotCopied(dict[str, Any]):

@@ -5,17 +5,30 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gdrl_torchrl.analysis.fields import OBJECT, TEXT, read_object
 from gdrl_torchrl.cli.compose import merge_task
 from gdrl_torchrl.config.algorithms import algorithm_configs
+from gdrl_torchrl.config.checks import check_choice
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig, NetworkConfig
+from gdrl_torchrl.config.task import task_config_class
 
 _USAGE = (
     "usage: gdrl-evaluate run=<run directory> [episodes=N] [seed=N] "
     "[task.<option>=<value> ...]"
 )
+_READ = {
+    "task": OBJECT,
+    "task.name": TEXT,
+    "algorithm": OBJECT,
+    "algorithm.name": TEXT,
+    "network": OBJECT,
+    "evaluation": OBJECT,
+}
 
 
 def evaluate_run(arguments: list[str]) -> dict[str, Any]:
@@ -28,7 +41,8 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         The evaluation, with the overrides.
 
     Raises:
-        ValueError: If an argument is unknown or not valid, or the run has no policy.
+        ValueError: If an argument is unknown or not valid, or a file of the run is
+            missing or damaged.
     """
     values: dict[str, str] = {}
     overrides: list[str] = []
@@ -43,38 +57,35 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     if "run" not in values:
         raise ValueError(_USAGE)
     run = Path(values["run"])
-    if not (run / "config.json").exists():
+    path = run / "config.json"
+    if not path.exists():
         raise ValueError(f"run={run} is not a run directory: it has no config.json")
-    try:
-        saved = json.loads((run / "config.json").read_text())
-    except ValueError as error:
-        raise ValueError(f"{run / 'config.json'} is not valid JSON: {error}") from error
-    settings = saved["evaluation"] | {
+    saved = read_object(path, _READ)
+    with _named(path):
+        config = _config_of(saved)
+    numbers = {
         name: _whole_number(name, values[name])
         for name in ("episodes", "seed")
         if name in values
     }
-    evaluation = EvaluationConfig(**settings)
+    evaluation = dataclasses.replace(config.evaluation, **numbers)
     # torch takes seconds to import: arguments are checked before.
     from gdrl_torchrl.config.task import make_task_from_config
     from gdrl_torchrl.training.build import make_actor
     from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
 
-    config = ExperimentConfig(
-        task=merge_task(saved["task"], []),
-        algorithm=algorithm_configs()[saved["algorithm"]["name"]](**saved["algorithm"]),
-        network=NetworkConfig(**saved["network"]),
-    )
+    with _named(path):
+        trained = make_task_from_config(config.task).spec
     task_config = merge_task(saved["task"], overrides)
     task = make_task_from_config(task_config)
-    trained = make_task_from_config(config.task).spec
     for name in ("observation", "action_size", "is_discrete"):
         if getattr(task.spec, name) != getattr(trained, name):
             raise ValueError(
                 f"task.{' task.'.join(overrides)}: the policy was trained with "
                 f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
             )
-    actor = make_actor(task, config)
+    with _named(path):
+        actor = make_actor(task, config)
     load_policy(run / "final", actor)
     scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
     return {
@@ -85,6 +96,47 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         **scores,
         "params_sha256": params_sha256(actor),
     }
+
+
+def _config_of(saved: dict[str, Any]) -> ExperimentConfig:
+    """What an evaluation needs of a saved configuration.
+
+    Raises:
+        ValueError: If a field is missing, unknown or not what it must be.
+    """
+    if "${" in json.dumps(saved["task"]):
+        # Hydra's words for what is elsewhere, as in the environment; none is ever saved.
+        raise ValueError(f"task={saved['task']} must hold no ${{...}}")
+    algorithms = algorithm_configs()
+    check_choice("algorithm.name", saved["algorithm"]["name"], algorithms)
+    classes = {
+        "task": task_config_class(saved["task"]["name"]),
+        "algorithm": algorithms[saved["algorithm"]["name"]],
+        "network": NetworkConfig,
+        "evaluation": EvaluationConfig,
+    }
+    return ExperimentConfig(
+        **{name: _section(cls, name, saved[name]) for name, cls in classes.items()}
+    )
+
+
+def _section(cls: type, name: str, values: dict[str, Any]) -> Any:
+    names = {field.name for field in dataclasses.fields(cls)}
+    if missing := sorted(names - values.keys()):
+        raise ValueError(f"{name} has no {missing}")
+    if unknown := sorted(values.keys() - names):
+        raise ValueError(f"{name} has {unknown}, which are unknown")
+    return cls(**values)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name a file in the errors of what is made of it."""
+    try:
+        yield
+    # Options of other packages may be unchecked, and libraries raise what they like.
+    except (ValueError, TypeError, ArithmeticError, RuntimeError, MemoryError) as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _whole_number(name: str, text: str) -> int:

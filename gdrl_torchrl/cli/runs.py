@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from gdrl_torchrl.analysis.run_table import (
     STATES,
@@ -25,6 +26,15 @@ def list_runs(arguments: list[str]) -> str:
     Raises:
         ValueError: If there is no such folder, or an argument is not one.
     """
+    return format_table(rows_of(arguments))
+
+
+def rows_of(arguments: list[str]) -> list[dict[str, Any]]:
+    """The rows of the table, see :func:`~gdrl_torchrl.analysis.run_table.run_row`.
+
+    Raises:
+        ValueError: If there is no such folder, or an argument is not one.
+    """
     if not arguments or "=" in arguments[0] or arguments[0].startswith("-"):
         raise ValueError(_USAGE)
     folder, *filters = arguments
@@ -38,16 +48,19 @@ def list_runs(arguments: list[str]) -> str:
         wanted[name] = value
     if wanted.get("state", STATES[0]) not in STATES:
         raise ValueError(f"state={wanted['state']!r} must be one of {STATES}")
-    runs = select_runs(find_runs(folder), wanted)
-    return format_table([run_row(run) for run in runs])
+    return [run_row(run) for run in select_runs(find_runs(folder), wanted)]
 
 
 def main() -> None:
-    """Entry point of ``gdrl-runs``."""
+    """Entry point of ``gdrl-runs``: after the table, an error per damaged run."""
     try:
-        print(list_runs(sys.argv[1:]))
+        rows = rows_of(sys.argv[1:])
+        print(format_table(rows))
     except ValueError as error:
         sys.exit(f"error: {error}")
+    damages = [f"error: {row['damage']}" for row in rows if row["damage"] is not None]
+    if damages:
+        sys.exit("\n".join(damages))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_torchrl.cli.compose import (
     CONFIG_MODULE,
+    EXIT_SAVED,
     load_experiment,
     register_configs,
     search_path,
@@ -268,7 +269,7 @@ def main() -> None:
         sys.exit(f"error: {error}")
     except InterruptedRunError as stop:
         print(stop, file=sys.stderr)
-        sys.exit(128 + stop.signal)
+        sys.exit(EXIT_SAVED)
     print(search_table(search))
     best = search.best()
     if best is not None:

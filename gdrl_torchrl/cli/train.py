@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 
 from gdrl_torchrl.cli.compose import (
     CONFIG_MODULE,
+    EXIT_SAVED,
     register_configs,
     search_path,
     to_experiment,
@@ -55,7 +56,11 @@ def check_launcher(target: str) -> None:
 def _run_job(config: DictConfig) -> float:
     experiment = to_experiment(config)
     # Imported here so that --help is answered without them.
-    from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
+    from gdrl_torchrl.training.run import (
+        InterruptedRunError,
+        TrainingDivergedError,
+        run_experiment,
+    )
     from gdrl_torchrl.training.run_directory import RunDirectoryError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
@@ -67,8 +72,8 @@ def _run_job(config: DictConfig) -> float:
     except InterruptedRunError as stop:
         # Not an error of this job: it ends a sweep too.
         print(stop, file=sys.stderr)
-        sys.exit(128 + stop.signal)
-    except RunDirectoryError as error:
+        sys.exit(EXIT_SAVED)
+    except (RunDirectoryError, TrainingDivergedError) as error:
         raise ValueError(str(error)) from error
     print(path)
     return float(json.loads((Path(path) / "evaluation.json").read_text())["success_rate"])

@@ -5,7 +5,14 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
-from gdrl_torchrl.config.checks import check_choice, check_range
+from gdrl_torchrl.config.checks import (
+    MOST_WORLDS,
+    among,
+    check_at_most,
+    check_evaluation_worlds,
+    check_fields,
+    within,
+)
 from gdrl_torchrl.plugins import with_plugins
 
 
@@ -16,36 +23,24 @@ class PPOConfig:
     actions: ClassVar[str] = "continuous"
     """Kind of actions that it needs."""
 
-    name: str = "ppo"
-    num_worlds: int = 16
-    frames_per_batch: int = 2048
-    num_epochs: int = 10
-    minibatch_size: int = 256
-    learning_rate: float = 1e-3
-    gamma: float = 0.99
-    lmbda: float = 0.95
-    clip_epsilon: float = 0.2
-    entropy_coeff: float = 0.0
-    critic_coeff: float = 0.5
-    max_grad_norm: float = 0.5
+    name: str = among("ppo", ("ppo",))
+    num_worlds: int = within(16, least=1, most=MOST_WORLDS)
+    frames_per_batch: int = within(2048, least=1, most=1_000_000)
+    num_epochs: int = within(10, least=1, most=1000)
+    minibatch_size: int = within(256, least=1, most=1_000_000)
+    learning_rate: float = within(1e-3, above=0.0, most=1.0)
+    gamma: float = within(0.99, least=0.0, most=1.0)
+    lmbda: float = within(0.95, least=0.0, most=1.0)
+    clip_epsilon: float = within(0.2, above=0.0, below=1.0)
+    entropy_coeff: float = within(0.0, least=0.0, most=100.0)
+    critic_coeff: float = within(0.5, least=0.0, most=100.0)
+    max_grad_norm: float = within(0.5, above=0.0, most=1e6)
     normalize_advantage: bool = True
 
     def __post_init__(self) -> None:
-        check_choice("algorithm.name", self.name, ("ppo",))
-        for name in ("num_worlds", "num_epochs", "minibatch_size", "frames_per_batch"):
-            check_range(f"algorithm.{name}", getattr(self, name), least=1)
-        for name in ("learning_rate", "clip_epsilon", "max_grad_norm"):
-            check_range(f"algorithm.{name}", getattr(self, name), above=0.0)
-        for name in ("gamma", "lmbda"):
-            check_range(f"algorithm.{name}", getattr(self, name), least=0.0, most=1.0)
-        for name in ("entropy_coeff", "critic_coeff"):
-            check_range(f"algorithm.{name}", getattr(self, name), least=0.0)
+        check_fields(self, "algorithm")
         check_whole_rows(self.frames_per_batch, self.num_worlds)
-        if self.minibatch_size > self.frames_per_batch:
-            raise ValueError(
-                f"algorithm.minibatch_size={self.minibatch_size} must be <= "
-                f"algorithm.frames_per_batch={self.frames_per_batch}"
-            )
+        check_at_most("algorithm", self, "minibatch_size", "frames_per_batch")
 
 
 @dataclasses.dataclass
@@ -55,72 +50,45 @@ class RainbowConfig:
     actions: ClassVar[str] = "discrete"
     """Kind of actions that it needs."""
 
-    name: str = "rainbow"
-    num_worlds: int = 16
-    frames_per_batch: int = 256
-    updates_per_batch: int = 8
-    minibatch_size: int = 256
-    learning_rate: float = 1e-3
-    gamma: float = 0.99
-    num_steps: int = 10
+    name: str = among("rainbow", ("rainbow",))
+    num_worlds: int = within(16, least=1, most=MOST_WORLDS)
+    frames_per_batch: int = within(256, least=1, most=1_000_000)
+    updates_per_batch: int = within(8, least=1, most=10_000)
+    minibatch_size: int = within(256, least=2, most=1_000_000)
+    """TorchRL's sampler gives the weight of a single transition no dimension."""
+    learning_rate: float = within(1e-3, above=0.0, most=1.0)
+    gamma: float = within(0.99, least=0.0, most=1.0)
+    num_steps: int = within(10, least=1, most=10_000)
     """Steps of the return before the target network takes over."""
-    num_atoms: int = 51
-    target_tau: float = 0.01
+    num_atoms: int = within(51, least=2, most=1000)
+    target_tau: float = within(0.01, above=0.0, most=1.0)
     """How far the target network moves towards the agent's at every update."""
-    replay_capacity: int = 100_000
-    replay_alpha: float = 0.6
-    replay_beta: float = 0.4
-    replay_beta_increment: float = 5e-4
+    replay_capacity: int = within(100_000, least=1, most=10_000_000)
+    replay_alpha: float = within(0.6, least=0.0, most=1.0)
+    replay_beta: float = within(0.4, least=0.0, most=1.0)
+    replay_beta_increment: float = within(5e-4, least=0.0, most=1.0)
     """Added to beta at every update, up to 1."""
-    warmup_steps: int = 2_000
+    warmup_steps: int = within(2_000, least=1, most=10_000_000)
     """Transitions in the buffer before the first update."""
-    exploration: str = "epsilon_greedy"
-    epsilon_start: float = 1.0
-    epsilon_end: float = 0.02
-    epsilon_decay: float = 0.99
+    exploration: str = among("epsilon_greedy", ("epsilon_greedy", "noisy"))
+    epsilon_start: float = within(1.0, least=0.0, most=1.0)
+    epsilon_end: float = within(0.02, least=0.0, most=1.0)
+    epsilon_decay: float = within(0.99, least=0.0, most=1.0)
     """Factor of epsilon at every completed episode."""
-    noisy_std: float = 0.5
+    noisy_std: float = within(0.5, above=0.0, most=10.0)
     """Initial scale of the noise, with ``exploration=noisy``."""
-    max_grad_norm: float = 10.0
+    max_grad_norm: float = within(10.0, above=0.0, most=1e6)
 
     def __post_init__(self) -> None:
-        check_choice("algorithm.name", self.name, ("rainbow",))
-        check_choice("algorithm.exploration", self.exploration, ("epsilon_greedy", "noisy"))
-        for name in (
-            "num_worlds",
-            "frames_per_batch",
-            "updates_per_batch",
-            "minibatch_size",
-            "num_steps",
-            "replay_capacity",
-            "warmup_steps",
-        ):
-            check_range(f"algorithm.{name}", getattr(self, name), least=1)
-        check_range("algorithm.num_atoms", self.num_atoms, least=2)
-        for name in ("learning_rate", "noisy_std", "max_grad_norm"):
-            check_range(f"algorithm.{name}", getattr(self, name), above=0.0)
-        check_range("algorithm.target_tau", self.target_tau, above=0.0, most=1.0)
-        check_range("algorithm.replay_beta_increment", self.replay_beta_increment, least=0)
-        for name in (
-            "gamma",
-            "replay_alpha",
-            "replay_beta",
-            "epsilon_start",
-            "epsilon_end",
-            "epsilon_decay",
-        ):
-            check_range(f"algorithm.{name}", getattr(self, name), least=0.0, most=1.0)
+        check_fields(self, "algorithm")
         check_whole_rows(self.frames_per_batch, self.num_worlds)
-        if self.warmup_steps > self.replay_capacity:
-            raise ValueError(
-                f"algorithm.warmup_steps={self.warmup_steps} must be <= "
-                f"algorithm.replay_capacity={self.replay_capacity}"
-            )
-        if self.epsilon_end > self.epsilon_start:
-            raise ValueError(
-                f"algorithm.epsilon_end={self.epsilon_end} must be <= "
-                f"algorithm.epsilon_start={self.epsilon_start}"
-            )
+        for smaller, larger in (
+            ("warmup_steps", "replay_capacity"),
+            # Several transitions of a batch would be written to one place.
+            ("frames_per_batch", "replay_capacity"),
+            ("epsilon_end", "epsilon_start"),
+        ):
+            check_at_most("algorithm", self, smaller, larger)
 
 
 @dataclasses.dataclass
@@ -130,34 +98,27 @@ class GAConfig:
     actions: ClassVar[str] = "any"
     """Kind of actions that it needs."""
 
-    name: str = "ga"
-    population_size: int = 20
-    num_parents: int = 5
+    name: str = among("ga", ("ga",))
+    population_size: int = within(20, least=2, most=MOST_WORLDS)
+    num_parents: int = within(5, least=1, most=MOST_WORLDS)
     """Best members that the next generation is made of (truncation)."""
-    num_trials: int = 5
+    num_trials: int = within(5, least=1, most=10_000)
     """Episodes that every member is scored on."""
-    num_validated: int = 5
+    num_validated: int = within(5, least=0, most=MOST_WORLDS)
     """Best members that play again, to find the elite; 0 takes the first one."""
-    validation_trials: int = 10
+    validation_trials: int = within(10, least=1, most=10_000)
     """Episodes of each of those."""
-    mutation_std: float = 0.1
+    mutation_std: float = within(0.1, above=0.0, most=10.0)
     """Of the noise on every weight, in weight units."""
-    fitness: str = "goals"
-    num_worlds: int | None = None
+    fitness: str = among("goals", ("goals", "return"))
+    num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
     """Worlds of an evaluation; None takes one per member and trial."""
 
     def __post_init__(self) -> None:
-        check_choice("algorithm.name", self.name, ("ga",))
-        check_range("algorithm.population_size", self.population_size, least=2)
-        for name in ("num_trials", "validation_trials"):
-            check_range(f"algorithm.{name}", getattr(self, name), least=1)
-        most = self.population_size
-        check_range("algorithm.num_parents", self.num_parents, least=1, most=most)
-        check_range("algorithm.num_validated", self.num_validated, least=0, most=most)
-        check_range("algorithm.mutation_std", self.mutation_std, above=0.0)
-        check_choice("algorithm.fitness", self.fitness, ("goals", "return"))
-        if self.num_worlds is not None:
-            check_range("algorithm.num_worlds", self.num_worlds, least=1)
+        check_fields(self, "algorithm")
+        for name in ("num_parents", "num_validated"):
+            check_at_most("algorithm", self, name, "population_size")
+        check_evaluation_worlds("algorithm", self, "population_size", self.population_size)
 
 
 ALGORITHMS: dict[str, type] = {

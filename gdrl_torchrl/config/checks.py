@@ -2,36 +2,71 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from gdrl_tasks.checks import (
+    among,
+    check_choice,
+    check_fields,
+    check_range,
+    limits,
+    within,
+)
 
-def check_choice(name: str, value: Any, choices: Any) -> None:
-    """Raise ValueError unless a value is one of the choices."""
-    if value not in choices:
-        raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
-
-
-def check_range(
-    name: str,
-    value: float,
-    *,
-    above: float = -math.inf,
-    below: float = math.inf,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> None:
-    """Raise ValueError unless ``above < value < below``, ``least <= value <= most``."""
-    inside = above < value < below and least <= value <= most
-    if not (inside and math.isfinite(value)):
-        bounds = [f"> {above:g}"] if above > -math.inf else []
-        bounds += [f">= {least:g}"] if least > -math.inf else []
-        bounds += [f"<= {most:g}"] if most < math.inf else []
-        bounds += [f"< {below:g}"] if below < math.inf else []
-        raise ValueError(f"{name}={value} must be {' and '.join(bounds) or 'finite'}")
+__all__ = [
+    "MOST_EPISODES",
+    "MOST_SEED",
+    "MOST_STEPS",
+    "MOST_WORLDS",
+    "among",
+    "check_at_most",
+    "check_choice",
+    "check_evaluation_worlds",
+    "check_fields",
+    "check_folder",
+    "check_range",
+    "limits",
+    "within",
+]
+MOST_SEED = 2**62
+"""Seeds of torch's generators have 64 bits, and some of ours are sums."""
+MOST_STEPS = 10**12
+MOST_EPISODES = 1_000_000
+MOST_WORLDS = 100_000
+"""A world takes some kilobytes of memory and ten microseconds a step."""
+_LONGEST_NAME = 200
+"""Bytes: file systems take 255, and a run's folder adds to some names."""
 
 
 def check_folder(name: str, value: str) -> None:
     """Raise ValueError unless a value can be the name of a folder."""
-    if value in ("", ".", "..") or "/" in value:
-        raise ValueError(f"{name}={value!r} must be a folder's name")
+    special = value in ("", ".", "..") or "/" in value or not value.isprintable()
+    if special or len(value.encode()) > _LONGEST_NAME:
+        raise ValueError(
+            f"{name}={value!r} must be a folder's name of 1 to {_LONGEST_NAME} bytes"
+        )
+
+
+def check_at_most(group: str, options: Any, smaller: str, larger: str) -> None:
+    """Raise ValueError if one field is larger than another."""
+    low, high = getattr(options, smaller), getattr(options, larger)
+    if low > high:
+        raise ValueError(f"{group}.{smaller}={low} must be <= {group}.{larger}={high}")
+
+
+def check_evaluation_worlds(group: str, options: Any, field: str, members: int) -> None:
+    """Raise ValueError if a world per member and trial would be too many of them.
+
+    Args:
+        group: The options' group.
+        options: With ``num_trials`` and ``num_worlds``.
+        field: What the number of members depends on.
+        members: How many play.
+    """
+    worlds = members * options.num_trials
+    if options.num_worlds is None and worlds > MOST_WORLDS:
+        raise ValueError(
+            f"{group}.num_worlds=None must be a number: {worlds} worlds, one per member "
+            f"and trial of {group}.{field}={getattr(options, field)} and "
+            f"{group}.num_trials={options.num_trials}, are more than {MOST_WORLDS}"
+        )

@@ -4,7 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 
-from gdrl_torchrl.config.checks import check_choice, check_folder, check_range
+from gdrl_torchrl.config.checks import (
+    MOST_EPISODES,
+    MOST_WORLDS,
+    among,
+    check_choice,
+    check_evaluation_worlds,
+    check_fields,
+    check_folder,
+    limits,
+    within,
+)
+
+_MOST_TRIALS = 10_000
+_KEEP_OR_RESET = ("keep", "reset")
+_GOALS_OR_RETURN = ("goals", "return")
 
 
 @dataclasses.dataclass
@@ -14,55 +28,61 @@ class EvolutionConfig:
     name: str = "genetic"
     """What runs with these settings are called."""
     enabled: bool = True
-    num_children: int = 10
-    num_trials: int = 10
+    num_children: int = within(10, least=1, most=MOST_WORLDS)
+    num_trials: int = within(10, least=1, most=_MOST_TRIALS)
     """Episodes that every member is scored on; with ``contest=paired`` only the number
     that goals are counted per."""
-    period_episodes: int = 50
+    period_episodes: int = within(50, least=1, most=MOST_EPISODES)
     """Completed training episodes between evaluations; not given by the papers."""
     mutation: str = "bernoulli"
-    mut_v: float = 0.1
-    mut_v_is: str = "std"
-    rates: list[float] = dataclasses.field(default_factory=lambda: [0.75, 0.4, 0.1])
-    thresholds: list[float] = dataclasses.field(default_factory=lambda: [0.4, 0.8])
+    mut_v: float = within(0.1, least=0.0, most=10.0)
+    mut_v_is: str = among("std", ("std", "variance"))
+    rates: list[float] = dataclasses.field(
+        default_factory=lambda: [0.75, 0.4, 0.1],
+        metadata=limits(lengths=(1, 100), least=0.0, most=1.0),
+    )
+    thresholds: list[float] = dataclasses.field(
+        default_factory=lambda: [0.4, 0.8],
+        metadata=limits(lengths=(0, 99), least=0.0, most=1.0),
+    )
     """Success rates at which the next of ``rates`` begins; not given by the papers."""
     crossover: str = "none"
     """Of children, after their mutation."""
-    num_points: int = 2
+    num_points: int = within(2, least=1, most=1000)
     """Cuts of ``crossover=n_point``."""
     sensitivity: bool = False
     """Whether mutations are divided by how much the outputs depend on each weight."""
-    sensitivity_rows: int = 256
+    sensitivity_rows: int = within(256, least=1, most=1_000_000)
     """Observations that this is measured over."""
-    window_episodes: int = 100
-    fitness: str = "goals"
-    contest: str = "full"
+    window_episodes: int = within(100, least=1, most=MOST_EPISODES)
+    fitness: str = among("goals", _GOALS_OR_RETURN)
+    contest: str = among("full", ("full", "paired", "copies"))
     """``full``: all over the same episodes, the best wins; ``paired``: a child must win
     a test against the agent; ``copies``: none, the agent alone plays as many episodes as
     its population would, and stays."""
-    screening_trials: int = 3
+    screening_trials: int = within(3, least=1, most=_MOST_TRIALS)
     """With ``contest=paired``: episodes of a round, after which half the children go."""
-    test_trials: int = 10
+    test_trials: int = within(10, least=1, most=_MOST_TRIALS)
     """With ``contest=paired``: episodes between looks at the test."""
-    num_looks: int = 2
+    num_looks: int = within(2, least=1, most=100)
     """With ``contest=paired``: looks, after which the agent stays."""
-    level: float = 0.2
+    level: float = within(0.2, above=0.0, below=1.0)
     """With ``contest=paired``: probability that a child no better than the agent wins."""
-    own_share: float = 0.0
+    own_share: float = within(0.0, least=0.0, below=1.0)
     """Share of its own weights that the agent keeps on a switch."""
     tie_rule: str = "return_then_parent"
-    optimizer_on_switch: str = "keep"
+    optimizer_on_switch: str = among("keep", _KEEP_OR_RESET)
     """``keep`` the optimiser's moments or ``reset`` those of the actor."""
-    critic_on_switch: str = "keep"
+    critic_on_switch: str = among("keep", _KEEP_OR_RESET)
     """``keep`` the parent's critic or ``reset`` it to new weights."""
-    target_tau: float = 0.1
+    target_tau: float = within(0.1, least=0.0, most=1.0)
     """How far a target network moves towards the winner on a switch."""
-    experience_share: float = 0.1
+    experience_share: float = within(0.1, least=0.0, most=1.0)
     """Share of an evaluation's transitions that enters the agent's replay buffer; 0
     shares none."""
-    share_on: str = "switch"
+    share_on: str = among("switch", ("switch", "always"))
     """Whether experience is shared on a ``switch`` only or ``always``."""
-    num_worlds: int | None = None
+    num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
     """Worlds of the evaluation; None takes one per member and trial."""
 
     def __post_init__(self) -> None:
@@ -71,38 +91,12 @@ class EvolutionConfig:
         from gdrl_torchrl.evolution.mutation import mutations
         from gdrl_torchrl.evolution.selection import TIE_RULES
 
+        check_fields(self, "evolution")
         check_folder("evolution.name", self.name)
-        for name in (
-            "num_children",
-            "num_trials",
-            "period_episodes",
-            "window_episodes",
-            "num_points",
-            "sensitivity_rows",
-            "screening_trials",
-            "test_trials",
-            "num_looks",
-        ):
-            check_range(f"evolution.{name}", getattr(self, name), least=1)
-        check_range("evolution.own_share", self.own_share, least=0.0, below=1.0)
-        check_range("evolution.level", self.level, above=0.0, below=1.0)
         check_choice("evolution.crossover", self.crossover, crossovers())
-        check_choice("evolution.contest", self.contest, ("full", "paired", "copies"))
-        check_choice("evolution.share_on", self.share_on, ("switch", "always"))
-        if self.num_worlds is not None:
-            check_range("evolution.num_worlds", self.num_worlds, least=1)
-        check_range("evolution.mut_v", self.mut_v, least=0.0)
-        for name in ("target_tau", "experience_share"):
-            check_range(f"evolution.{name}", getattr(self, name), least=0.0, most=1.0)
         check_choice("evolution.mutation", self.mutation, mutations())
-        check_choice("evolution.mut_v_is", self.mut_v_is, ("std", "variance"))
-        check_choice("evolution.fitness", self.fitness, ("goals", "return"))
         check_choice("evolution.tie_rule", self.tie_rule, TIE_RULES)
-        for name in ("optimizer_on_switch", "critic_on_switch"):
-            check_choice(f"evolution.{name}", getattr(self, name), ("keep", "reset"))
-        for name in ("rates", "thresholds"):
-            for value in getattr(self, name):
-                check_range(f"evolution.{name}", value, least=0.0, most=1.0)
+        check_evaluation_worlds("evolution", self, "num_children", 1 + self.num_children)
         if len(self.rates) != len(self.thresholds) + 1:
             raise ValueError(
                 f"evolution.rates={self.rates} must have one entry more than "
@@ -110,6 +104,12 @@ class EvolutionConfig:
             )
         if self.thresholds != sorted(set(self.thresholds)):
             raise ValueError(f"evolution.thresholds={self.thresholds} must increase")
+        # The test draws thousands of signs for each of its episodes, all at once.
+        if self.test_trials * self.num_looks > _MOST_TRIALS:
+            raise ValueError(
+                f"evolution.test_trials={self.test_trials} times "
+                f"evolution.num_looks={self.num_looks} must be <= {_MOST_TRIALS}"
+            )
 
 
 @dataclasses.dataclass
@@ -119,43 +119,35 @@ class ErlConfig:
     name: str = "erl"
     """What runs with these settings are called."""
     enabled: bool = True
-    population_size: int = 10
+    population_size: int = within(10, least=3, most=MOST_WORLDS)
     """Members, of which one is a copy of the agent after each synchronisation."""
-    num_trials: int = 3
+    num_trials: int = within(3, least=1, most=_MOST_TRIALS)
     """Episodes that every member is scored on."""
-    period_episodes: int = 8
+    period_episodes: int = within(8, least=1, most=MOST_EPISODES)
     """Completed training episodes between generations: 2,000 over the 250 evaluations
     that the seed reports."""
-    num_elites: int = 2
-    tournament_size: int = 3
-    mutation_probability: float = 0.9
-    sync_period: int = 1
+    num_elites: int = within(2, least=1, most=MOST_WORLDS)
+    tournament_size: int = within(3, least=1, most=1000)
+    mutation_probability: float = within(0.9, least=0.0, most=1.0)
+    sync_period: int = within(1, least=1, most=MOST_EPISODES)
     """Generations between copies of the agent."""
-    window_episodes: int = 100
-    fitness: str = "goals"
-    experience_share: float = 1.0
+    window_episodes: int = within(100, least=1, most=MOST_EPISODES)
+    fitness: str = among("goals", _GOALS_OR_RETURN)
+    experience_share: float = within(1.0, least=0.0, most=1.0)
     """Share of a generation's transitions that enters the agent's replay buffer."""
-    num_worlds: int | None = None
+    num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
     """Worlds of an evaluation; None takes one per member and trial."""
 
     def __post_init__(self) -> None:
+        check_fields(self, "evolution")
         check_folder("evolution.name", self.name)
-        for name in (
-            "num_trials",
-            "period_episodes",
-            "tournament_size",
-            "sync_period",
-            "window_episodes",
-        ):
-            check_range(f"evolution.{name}", getattr(self, name), least=1)
-        check_range("evolution.population_size", self.population_size, least=3)
-        most = self.population_size - 2
-        check_range("evolution.num_elites", self.num_elites, least=1, most=most)
-        for name in ("mutation_probability", "experience_share"):
-            check_range(f"evolution.{name}", getattr(self, name), least=0.0, most=1.0)
-        check_choice("evolution.fitness", self.fitness, ("goals", "return"))
-        if self.num_worlds is not None:
-            check_range("evolution.num_worlds", self.num_worlds, least=1)
+        check_evaluation_worlds("evolution", self, "population_size", self.population_size)
+        if self.num_elites > self.population_size - 2:
+            raise ValueError(
+                f"evolution.num_elites={self.num_elites} must be <= "
+                f"evolution.population_size={self.population_size} less 2: one member is "
+                "new and one is the agent's copy"
+            )
 
 
 EVOLUTIONS: dict[str, type] = {"evolution": EvolutionConfig, "erl": ErlConfig}

@@ -9,47 +9,56 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from gdrl_torchrl.config.checks import check_choice, check_folder, check_range
+from gdrl_torchrl.config.checks import (
+    MOST_EPISODES,
+    MOST_SEED,
+    MOST_STEPS,
+    MOST_WORLDS,
+    among,
+    check_fields,
+    check_folder,
+    limits,
+    within,
+)
 from gdrl_torchrl.config.evolution import EvolutionConfig
+
+_WIDTHS = limits(lengths=(1, 16), least=1, most=16_384)
 
 
 @dataclasses.dataclass
 class NetworkConfig:
     """Networks of the agent."""
 
-    actor_cells: list[int] = dataclasses.field(default_factory=lambda: [32, 32])
-    critic_cells: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    actor_cells: list[int] = dataclasses.field(
+        default_factory=lambda: [32, 32], metadata=_WIDTHS
+    )
+    critic_cells: list[int] = dataclasses.field(
+        default_factory=lambda: [64, 64], metadata=_WIDTHS
+    )
     critic_sees_time: bool = True
     """Whether the critic reads the time left, which the policy does not see."""
-    activation: str = "tanh"
-    initial_std: float = 1.0
+    activation: str = among("tanh", ("tanh", "relu"))
+    initial_std: float = within(1.0, least=1e-4, most=100.0)
     """Of the policy before squashing, for continuous actions."""
 
     def __post_init__(self) -> None:
-        for name in ("actor_cells", "critic_cells"):
-            cells = getattr(self, name)
-            if not cells or any(width < 1 for width in cells):
-                raise ValueError(f"network.{name}={cells} must be widths >= 1")
-        check_choice("network.activation", self.activation, ("tanh", "relu"))
-        check_range("network.initial_std", self.initial_std, above=0.0)
+        check_fields(self, "network")
 
 
 @dataclasses.dataclass
 class BudgetConfig:
     """When training ends: the first budget that is reached; None is no limit."""
 
-    agent_steps: int | None = None
-    total_steps: int | None = None
-    wall_s: float | None = None
+    agent_steps: int | None = within(None, least=1, most=MOST_STEPS)
+    total_steps: int | None = within(None, least=1, most=MOST_STEPS)
+    wall_s: float | None = within(None, above=0.0, most=1e8)
 
     def __post_init__(self) -> None:
-        for name in ("agent_steps", "total_steps", "wall_s"):
-            value = getattr(self, name)
-            if value is not None:
-                check_range(f"budget.{name}", value, above=0.0)
+        check_fields(self, "budget")
         if self.agent_steps is None and self.total_steps is None and self.wall_s is None:
             raise ValueError(
-                "budget: one of agent_steps, total_steps and wall_s must be given"
+                "budget.agent_steps=None, budget.total_steps=None, budget.wall_s=None: one "
+                "must be given"
             )
 
 
@@ -57,27 +66,24 @@ class BudgetConfig:
 class EvaluationConfig:
     """Evaluation on held-out worlds at the end of training."""
 
-    episodes: int = 500
-    seed: int = 0
+    episodes: int = within(500, least=1, most=MOST_EPISODES)
+    seed: int = within(0, least=0, most=MOST_SEED)
     """Seed of the held-out worlds: the same worlds for runs of all seeds."""
-    num_worlds: int = 100
+    num_worlds: int = within(100, least=1, most=MOST_WORLDS)
 
     def __post_init__(self) -> None:
-        check_range("evaluation.episodes", self.episodes, least=1)
-        check_range("evaluation.seed", self.seed, least=0)
-        check_range("evaluation.num_worlds", self.num_worlds, least=1)
+        check_fields(self, "evaluation")
 
 
 @dataclasses.dataclass
 class CheckpointConfig:
     """How often training is saved."""
 
-    interval_s: float = 30.0
-    keep: int = 2
+    interval_s: float = within(30.0, least=0.0, most=1e8)
+    keep: int = within(2, least=1, most=10_000)
 
     def __post_init__(self) -> None:
-        check_range("checkpoint.interval_s", self.interval_s, least=0.0)
-        check_range("checkpoint.keep", self.keep, least=1)
+        check_fields(self, "checkpoint")
 
 
 @dataclasses.dataclass
@@ -85,22 +91,36 @@ class LoggerConfig:
     """What is written beside ``metrics.csv``."""
 
     tensorboard: bool = True
-    video_episodes: int = 4
+    video_episodes: int = within(4, least=0, most=1000)
     """Held-out episodes in the video; 0 makes none."""
 
     def __post_init__(self) -> None:
-        check_range("logger.video_episodes", self.video_episodes, least=0)
+        check_fields(self, "logger")
 
 
 @dataclasses.dataclass
 class SimulationConfig:
     """How the simulation runs; results do not depend on it."""
 
-    num_threads: int = 0
+    num_threads: int = within(0, least=0, most=1024)
     """Threads of the simulation; 0 takes one per processor."""
 
     def __post_init__(self) -> None:
-        check_range("simulation.num_threads", self.num_threads, least=0)
+        check_fields(self, "simulation")
+
+
+@dataclasses.dataclass
+class FaultsConfig:
+    """What happens when numbers are no longer numbers."""
+
+    on_non_finite_update: str = among("stop", ("stop", "skip"))
+    """A loss or a gradient that is not finite: ``stop`` ends training with the minibatch
+    in a file, ``skip`` makes no update."""
+    most_files: int = within(20, least=0, most=10_000)
+    """Most files about faults that a run directory gets."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, "faults")
 
 
 @dataclasses.dataclass
@@ -108,7 +128,7 @@ class ExperimentConfig:
     """A whole run."""
 
     name: str = "experiment"
-    seed: int = 0
+    seed: int = within(0, least=0, most=MOST_SEED)
     runs_dir: str = "runs"
     force: bool = False
     """Go on with a run directory that another version of the code has written."""
@@ -127,11 +147,12 @@ class ExperimentConfig:
     checkpoint: CheckpointConfig = dataclasses.field(default_factory=CheckpointConfig)
     logger: LoggerConfig = dataclasses.field(default_factory=LoggerConfig)
     simulation: SimulationConfig = dataclasses.field(default_factory=SimulationConfig)
+    faults: FaultsConfig = dataclasses.field(default_factory=FaultsConfig)
 
     def __post_init__(self) -> None:
         if self.evolution is None:
             self.evolution = EvolutionConfig()
-        check_range("seed", self.seed, least=0)
+        check_fields(self)
         check_folder("name", self.name)
 
     @property

@@ -9,6 +9,7 @@ import typing
 from typing import TYPE_CHECKING, Any, Literal
 
 from gdrl_tasks import make_task, task_options
+from gdrl_torchrl.config.checks import check_choice
 
 if TYPE_CHECKING:
     from gdrl_tasks import NavigationTask
@@ -50,8 +51,7 @@ def make_task_from_config(config: Any) -> NavigationTask:
     Raises:
         ValueError: If an option is out of range or ``backend`` unknown.
     """
-    if config.backend not in BACKENDS:
-        raise ValueError(f"task.backend={config.backend!r} must be one of {BACKENDS}")
+    check_choice("task.backend", config.backend, BACKENDS)
     options = {
         field.name: getattr(config, field.name)
         for field in dataclasses.fields(config)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Literal
 
 from torchrl.envs import EnvBase, SerialEnv
 
 from gdrl_tasks import NavigationTask
+from gdrl_tasks.divergence import DivergedWorld
 from gdrl_torchrl.envs.navigation import NavigationEnv
 
 Backend = Literal["batch", "dm_control"]
+OnDivergence = Callable[[DivergedWorld], None] | None
+"""Called with every world of the ``batch`` backend that diverges."""
 
 
 def make_env(
@@ -20,6 +24,7 @@ def make_env(
     backend: Backend = "batch",
     num_threads: int = 0,
     seed: int = 0,
+    on_divergence: OnDivergence = None,
 ) -> EnvBase:
     """Make an environment of batch size ``[num_worlds]``.
 
@@ -31,6 +36,7 @@ def make_env(
         num_threads: Simulation threads of the ``batch`` backend; 0 takes one per
             processor.
         seed: Seed of the episodes.
+        on_divergence: See :data:`OnDivergence`.
 
     Raises:
         ValueError: If ``num_worlds`` < 1 or ``backend`` is unknown.
@@ -43,7 +49,10 @@ def make_env(
     if num_worlds < 1:
         raise ValueError(f"num_worlds={num_worlds} must be >= 1")
     if backend == "batch":
-        return NavigationEnv(task, num_worlds, num_threads=num_threads, seed=seed)
+        env = NavigationEnv(task, num_worlds, num_threads=num_threads, seed=seed)
+        if on_divergence is not None:
+            env.simulation.watch(on_divergence)
+        return env
     if backend != "dm_control":
         raise ValueError(f"backend={backend!r} must be 'batch' or 'dm_control'")
     # dm_control takes a second to import, and nothing else here needs it.

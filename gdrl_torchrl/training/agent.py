@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -18,6 +18,7 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import make_env
+from gdrl_torchrl.training.update import Update
 
 MakeActor = Callable[[NavigationTask, ExperimentConfig], TensorDictModuleBase]
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
@@ -73,6 +74,8 @@ class Agent:
     collector: Collector | None = None
     parts: Mapping[str, HasState] = dataclasses.field(default_factory=dict)
     """Further state of the algorithm, by name."""
+    updates: Sequence[Update] = ()
+    """What counts the updates that were skipped."""
     critic: nn.Module | None = None
     """What ``evolution.critic_on_switch`` is about."""
     follow_switch: Callable[[float], object] | None = None
@@ -108,15 +111,16 @@ def make_training_env(config: ExperimentConfig, task: NavigationTask) -> EnvBase
 
 def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
     """Raise ValueError unless task, algorithm and evolution go together."""
+    name = config.algorithm.name
     if isinstance(config.algorithm, GAConfig) and config.evolution.enabled:
         raise ValueError(
-            f"evolution.name={config.evolution.name!r}: algorithm.name='ga' is a "
-            "population already, it needs evolution=none"
+            f"evolution.enabled=True must be False (evolution=none) with algorithm.name="
+            f"{name!r}, which is a population already"
         )
     needed = config.algorithm.actions
     given = "discrete" if task.spec.is_discrete else "continuous"
     if needed not in ("any", given):
         raise ValueError(
-            f"task.actions={given!r}: algorithm.name={config.algorithm.name!r} needs "
+            f"task.actions={given!r} must be {needed!r} with algorithm.name={name!r}: give "
             f"task.actions={needed}"
         )

@@ -8,8 +8,11 @@ from tensordict.nn import TensorDictModuleBase
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import GAConfig, PPOConfig, RainbowConfig
+from gdrl_torchrl.config.relations import check_relations
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
+from gdrl_torchrl.envs.make import OnDivergence
+from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.plugins import with_plugins
 from gdrl_torchrl.training.agent import Agent, Algorithm, check_fit
 from gdrl_torchrl.training.evolve import make_population_hook
@@ -48,11 +51,18 @@ class Training:
             env.close()
 
 
-def build_training(config: ExperimentConfig) -> Training:
+def build_training(
+    config: ExperimentConfig, *, on_divergence: OnDivergence = None
+) -> Training:
     """Build everything that a run trains with; seeds are the configuration's.
 
     The global torch generator must have been seeded by the caller: initial weights and
     the policy's noise come from it.
+
+    Args:
+        config: The configuration.
+        on_divergence: Called with every world that diverges, the agent's or one of a
+            population's.
 
     Raises:
         ValueError: If task and algorithm do not fit, or an option is out of range.
@@ -60,7 +70,11 @@ def build_training(config: ExperimentConfig) -> Training:
     task = make_task_of(config)
     algorithm = algorithm_of(config)
     agent = algorithm.make_agent(config, task)
-    genetic = make_population_hook(config, task, agent, algorithm.make_actor)
+    if on_divergence is not None and isinstance(agent.env, NavigationEnv):
+        agent.env.simulation.watch(on_divergence)
+    genetic = make_population_hook(
+        config, task, agent, algorithm.make_actor, on_divergence=on_divergence
+    )
     genetic.register(agent.trainer)
     return Training(task, agent, genetic)
 
@@ -71,9 +85,13 @@ def make_task_of(config: ExperimentConfig) -> NavigationTask:
     Raises:
         ValueError: If task and algorithm do not fit, or an option is out of range.
     """
+    for name in ("task", "algorithm"):
+        if getattr(config, name) is None:
+            raise ValueError(f"{name}=None must be given")
     task = make_task_from_config(config.task)
     # Not by making an actor: its weights would come from the run's generator.
     check_fit(task, config)
+    check_relations(config, task)
     return task
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import shutil
@@ -12,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import save
 from torchrl.checkpoint import (
     Checkpoint,
     CheckpointAdapter,
@@ -23,6 +20,7 @@ from torchrl.checkpoint import (
 
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.training.build import Training
+from gdrl_torchrl.training.state_file import read_state, write_state
 
 _logger = logging.getLogger(__name__)
 
@@ -121,11 +119,11 @@ class Checkpoints:
         try:
             self._checkpoint.save(aside, metadata=self.identity)
             # Or a loss of power might leave the name without the content.
-            _flush(aside)
+            flush_to_disk(aside)
             os.replace(aside, path)
         finally:
             aside.unlink(missing_ok=True)
-        _flush(self.folder)
+        flush_to_disk(self.folder)
         self._rotation.prune()
         return path
 
@@ -182,11 +180,7 @@ class SafetensorsAdapter(CheckpointAdapter):
     ) -> None:
         """Write the state of a component below a path."""
         path.mkdir(parents=True, exist_ok=True)
-        tensors: dict[str, torch.Tensor] = {}
-        outline = _outline(component.state_dict(*args, **kwargs), tensors)
-        metadata = {"outline": json.dumps(outline, separators=(",", ":"))}
-        # Not by ``save_file``, whose errors do not say what the system said.
-        (path / self.file_name).write_bytes(save(tensors, metadata))
+        write_state(path / self.file_name, component.state_dict(*args, **kwargs))
 
     def load(
         self,
@@ -203,60 +197,14 @@ class SafetensorsAdapter(CheckpointAdapter):
         Raises:
             CheckpointError: If the file is not one of :meth:`save`.
         """
-        with safe_open(path / self.file_name, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.offset_keys()}
-            text = (file.metadata() or {}).get("outline", "null")
-        state = _filled(json.loads(text), tensors)
+        try:
+            state = read_state(path / self.file_name)
+        except ValueError as error:
+            raise CheckpointError(str(error)) from error
         component.load_state_dict(state, *args, **kwargs)
 
 
-def _outline(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
-    """A value without its tensors, which are put beside it, as JSON can hold it.
-
-    Raises:
-        TypeError: If there is something that cannot be saved.
-    """
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, (torch.Tensor, np.ndarray, np.generic)):
-        name = str(len(tensors))
-        # Copies, for the file holds every tensor once, and states may share them.
-        tensors[name] = torch.as_tensor(value).detach().cpu().clone().contiguous()
-        return {"tensor" if isinstance(value, torch.Tensor) else "array": name}
-    if isinstance(value, Mapping):
-        items = [[_plain_key(key), _outline(v, tensors)] for key, v in value.items()]
-        return {"dict": items}
-    if isinstance(value, (list, tuple)):
-        kind = "list" if isinstance(value, list) else "tuple"
-        return {kind: [_outline(item, tensors) for item in value]}
-    raise TypeError(f"{type(value).__name__} {value!r} cannot be part of a checkpoint")
-
-
-def _plain_key(key: Any) -> str | int:
-    if not isinstance(key, (str, int)):
-        raise TypeError(f"key {key!r} cannot be part of a checkpoint")
-    return key
-
-
-def _filled(outline: Any, tensors: Mapping[str, torch.Tensor]) -> Any:
-    """The value of an :func:`_outline`."""
-    if outline is None or isinstance(outline, (bool, int, float, str)):
-        return outline
-    try:
-        ((kind, content),) = outline.items()
-        if kind == "tensor":
-            return tensors[content]
-        if kind == "array":
-            return tensors[content].numpy()
-        if kind == "dict":
-            return {key: _filled(item, tensors) for key, item in content}
-        items = [_filled(item, tensors) for item in content]
-        return {"list": items, "tuple": tuple(items)}[kind]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"the outline of the state is damaged: {error!r}") from error
-
-
-def _flush(path: Path) -> None:
+def flush_to_disk(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

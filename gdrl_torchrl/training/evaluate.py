@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load, save
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
@@ -20,12 +20,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
 from gdrl_tasks.navigation import success_weighted_path_length
 from gdrl_torchrl import keys
+from gdrl_torchrl.analysis.fields import DIGEST, read_content, read_object
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
-from gdrl_torchrl.envs.make import Backend, make_env
+from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env
 from gdrl_torchrl.evolution.genome import genome_of, stack_copies
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 POLICY_FILE = "policy.safetensors"
+CONTRACT_FILE = "contract.json"
 
 
 def evaluate_policy(
@@ -35,6 +37,7 @@ def evaluate_policy(
     *,
     backend: Backend = "batch",
     num_threads: int = 0,
+    on_divergence: OnDivergence = None,
 ) -> dict[str, float]:
     """Run the greedy policy on held-out worlds.
 
@@ -44,6 +47,7 @@ def evaluate_policy(
         config: Number of episodes, seed of the worlds, worlds at a time.
         backend: What steps the worlds.
         num_threads: Simulation threads.
+        on_divergence: Called with every world that diverges.
 
     Returns:
         Rates of each outcome, SPL and means per episode, by the names that
@@ -54,7 +58,11 @@ def evaluate_policy(
         actor,
         num_episodes=config.episodes,
         create_env_fn=lambda: make_env(
-            task, worlds, backend=backend, num_threads=num_threads
+            task,
+            worlds,
+            backend=backend,
+            num_threads=num_threads,
+            on_divergence=on_divergence,
         ),
         extra_keys=(keys.PATH_LENGTH, keys.SHORTEST_PATH),
     )
@@ -108,8 +116,12 @@ def greedy_act(actor: TensorDictModuleBase) -> Callable[[np.ndarray], np.ndarray
 
 def params_sha256(module: nn.Module) -> str:
     """Digest of a module's parameters and buffers, by name."""
+    return _digest(module.state_dict())
+
+
+def _digest(state: Mapping[str, torch.Tensor]) -> str:
     digest = hashlib.sha256()
-    for name, value in sorted(module.state_dict().items()):
+    for name, value in sorted(state.items()):
         digest.update(name.encode())
         digest.update(value.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
@@ -118,11 +130,18 @@ def params_sha256(module: nn.Module) -> str:
 def save_policy(
     folder: Path, actor: nn.Module, task: NavigationTask, config: ExperimentConfig
 ) -> None:
-    """Write a policy's weights (safetensors) and what is needed to use them."""
+    """Write a policy's weights (safetensors) and what is needed to use them.
+
+    A reader never sees half a file; until both are there, their digests differ.
+
+    Raises:
+        OSError: If a file cannot be written; what was there before is whole.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     # Copies: the format refuses buffers that share memory, as TorchRL's supports do.
     state = {name: value.clone() for name, value in actor.state_dict().items()}
-    save_file(state, folder / POLICY_FILE)
+    # Not by ``save_file``, whose errors do not say what the system said.
+    _write(folder / POLICY_FILE, save(state))
     low, high = task.spec.observation_bounds
     contract = {
         "task": task.name,
@@ -136,20 +155,62 @@ def save_policy(
         "control_interval_s": task.spec.control_interval_s,
         "params_sha256": params_sha256(actor),
     }
-    (folder / "contract.json").write_text(json.dumps(contract, indent=2) + "\n")
+    _write(folder / CONTRACT_FILE, f"{json.dumps(contract, indent=2)}\n".encode())
 
 
 def load_policy(folder: Path, actor: nn.Module) -> None:
     """Read weights of :func:`save_policy` into an actor of the same shape.
 
+    No code of the file is run: it has none. After an error the actor is what it was.
+
     Raises:
-        ValueError: If the file is missing, damaged or of another network.
+        ValueError: If the file is missing, damaged, of another network, holds numbers
+            that are not finite, or is not what its contract, if there is one, says.
     """
-    path = folder / POLICY_FILE
+    path, contract = folder / POLICY_FILE, folder / CONTRACT_FILE
     try:
-        actor.load_state_dict(load_file(path))
-    except (OSError, SafetensorError, RuntimeError) as error:
+        state = load(read_content(path))
+    # What a damaged file makes readers raise has no common type.
+    except Exception as error:
         raise ValueError(f"{path} cannot be loaded: {error}") from error
+    _check_state(state, actor.state_dict(), path)
+    if contract.exists():
+        said = read_object(contract, {"params_sha256": DIGEST})["params_sha256"]
+        if said != (found := _digest(state)):
+            raise ValueError(
+                f"{path} cannot be loaded: its params_sha256 is {found}, expected {said} "
+                f"by {contract.name}"
+            )
+    actor.load_state_dict(state)
+
+
+def _check_state(
+    found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor], path: Path
+) -> None:
+    """Raise ValueError unless two states have the same names, types and shapes."""
+    problem = f"{path} cannot be loaded: it"
+    if missing := sorted(expected.keys() - found.keys()):
+        raise ValueError(f"{problem} has no {missing}")
+    if unknown := sorted(found.keys() - expected.keys()):
+        raise ValueError(f"{problem} has {unknown}, which the network has not")
+    for name, its in found.items():
+        own = expected[name]
+        if (its.dtype, its.shape) != (own.dtype, own.shape):
+            raise ValueError(
+                f"{problem} has {name} of {its.dtype} {list(its.shape)}, the network has "
+                f"{own.dtype} {list(own.shape)}"
+            )
+        if not bool(torch.isfinite(its).all()):
+            raise ValueError(f"{problem} has {name} with numbers that are not finite")
+
+
+def _write(path: Path, content: bytes) -> None:
+    aside = path.with_name(f".{path.name}.partial")
+    try:
+        aside.write_bytes(content)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def evaluation_record(

@@ -13,7 +13,7 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.evolution import ErlConfig, EvolutionConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.envs.make import make_env
+from gdrl_torchrl.envs.make import OnDivergence, make_env
 from gdrl_torchrl.evolution.crossover import crossovers
 from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.mutation import mutations, standard_deviation
@@ -34,23 +34,32 @@ from gdrl_torchrl.training.genetic_algorithm import GeneticAlgorithm
 from gdrl_torchrl.training.population_hook import PopulationHook
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
+MakeEvaluator = Callable[[Any, int], PopulationEvaluator]
+"""An evaluator from what it is told of and the number of members."""
+
 _OTHER_WEIGHTS = 1 << 40
 """Added to a run's seed for a first generation, whose weights are not the agent's."""
 
 
 def make_population_hook(
-    config: ExperimentConfig, task: NavigationTask, agent: Agent, make_actor: MakeActor
+    config: ExperimentConfig,
+    task: NavigationTask,
+    agent: Agent,
+    make_actor: MakeActor,
+    *,
+    on_divergence: OnDivergence = None,
 ) -> PopulationHook:
     """The hook that a configuration asks for, with an evaluator of its own."""
+    evaluator = functools.partial(_evaluator, config, task, agent, on_divergence)
     if isinstance(config.algorithm, GAConfig):
-        return _genetic_algorithm(config, task, agent, make_actor)
+        return _genetic_algorithm(config, task, agent, make_actor, evaluator)
     if isinstance(config.evolution, ErlConfig):
-        return _erl(config, task, agent, make_actor)
-    return _genetic(config, task, agent)
+        return _erl(config, task, agent, make_actor, evaluator)
+    return _genetic(config, agent, evaluator)
 
 
 def _genetic(
-    config: ExperimentConfig, task: NavigationTask, agent: Agent
+    config: ExperimentConfig, agent: Agent, make_evaluator: MakeEvaluator
 ) -> PopulationHook:
     evolution: EvolutionConfig = config.evolution
     on_switch: list[Callable[[], object]] = []
@@ -61,7 +70,7 @@ def _genetic(
         sensitivity = functools.partial(output_sensitivity, outputs_of(agent.actor))
     return GeneticHook(
         agent.actor,
-        _evaluator(config, task, agent, evolution, 1 + evolution.num_children),
+        make_evaluator(evolution, 1 + evolution.num_children),
         num_children=evolution.num_children,
         period_episodes=evolution.period_episodes if evolution.enabled else None,
         mutation=mutations()[evolution.mutation],
@@ -86,12 +95,16 @@ def _genetic(
 
 
 def _erl(
-    config: ExperimentConfig, task: NavigationTask, agent: Agent, make_actor: MakeActor
+    config: ExperimentConfig,
+    task: NavigationTask,
+    agent: Agent,
+    make_actor: MakeActor,
+    make_evaluator: MakeEvaluator,
 ) -> PopulationHook:
     evolution: ErlConfig = config.evolution
     return ErlHook(
         agent.actor,
-        _evaluator(config, task, agent, evolution, evolution.population_size),
+        make_evaluator(evolution, evolution.population_size),
         _first_generation(config, task, make_actor, evolution.population_size),
         num_elites=evolution.num_elites,
         tournament_size=evolution.tournament_size,
@@ -105,12 +118,16 @@ def _erl(
 
 
 def _genetic_algorithm(
-    config: ExperimentConfig, task: NavigationTask, agent: Agent, make_actor: MakeActor
+    config: ExperimentConfig,
+    task: NavigationTask,
+    agent: Agent,
+    make_actor: MakeActor,
+    make_evaluator: MakeEvaluator,
 ) -> PopulationHook:
     algorithm: GAConfig = config.algorithm
     return GeneticAlgorithm(
         agent.actor,
-        _evaluator(config, task, agent, algorithm, algorithm.population_size),
+        make_evaluator(algorithm, algorithm.population_size),
         _first_generation(config, task, make_actor, algorithm.population_size),
         num_parents=algorithm.num_parents,
         num_validated=algorithm.num_validated,
@@ -124,6 +141,7 @@ def _evaluator(
     config: ExperimentConfig,
     task: NavigationTask,
     agent: Agent,
+    on_divergence: OnDivergence,
     settings: Any,
     members: int,
 ) -> PopulationEvaluator:
@@ -138,6 +156,7 @@ def _evaluator(
             backend=config.task.backend,
             num_threads=config.simulation.num_threads,
             seed=config.seed,
+            on_divergence=on_divergence,
         ),
         fitness=settings.fitness,
         seed=config.seed,

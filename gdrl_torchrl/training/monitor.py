@@ -6,7 +6,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
@@ -19,8 +19,10 @@ from tqdm import tqdm
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.schema import BudgetConfig
 from gdrl_torchrl.training.agent import TrainsInSteps
+from gdrl_torchrl.training.faults import FaultFiles
 from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.training.run_directory import MetricsTable
+from gdrl_torchrl.training.update import Update
 
 COLUMNS = (
     "agent_steps",
@@ -32,6 +34,8 @@ COLUMNS = (
     "return_mean",
     "evaluations",
     "switches",
+    "diverged",
+    "skipped_updates",
     "mut_p",
     "fitness_best",
     "fitness_parent",
@@ -53,6 +57,8 @@ class RunMonitor(TrainerHookBase):
         table: Gets one row per batch.
         save: Called with all steps so far to save a checkpoint.
         save_interval_s: Seconds between checkpoints.
+        faults: Counts the worlds that diverged.
+        updates: Count the updates that were skipped.
         logger: Also gets every number.
 
     Attributes:
@@ -67,6 +73,8 @@ class RunMonitor(TrainerHookBase):
         *,
         save: Callable[[int], object],
         save_interval_s: float = 30.0,
+        faults: FaultFiles | None = None,
+        updates: Sequence[Update] = (),
         logger: Logger | None = None,
     ) -> None:
         self.genetic = genetic
@@ -74,6 +82,8 @@ class RunMonitor(TrainerHookBase):
         self.table = table
         self.save = save
         self.save_interval_s = save_interval_s
+        self.faults = faults
+        self.updates = list(updates)
         self.logger = logger
         self.interrupted_by: signal.Signals | None = None
         self.wall_s_before = 0.0
@@ -162,12 +172,14 @@ class RunMonitor(TrainerHookBase):
             self._saved = time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
-        """The clock; other counters belong to trainer and hook."""
-        return {"wall_s": self.wall_s}
+        """The clock and diverged worlds; other counters belong to trainer and hook."""
+        return {"wall_s": self.wall_s, "diverged": self._num_diverged()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         self.wall_s_before = state_dict["wall_s"]
+        if self.faults is not None:
+            self.faults.num_diverged = state_dict["diverged"]
         self._started = time.monotonic()
 
     def _row(self) -> dict[str, Any]:
@@ -177,6 +189,8 @@ class RunMonitor(TrainerHookBase):
             "episodes": self.genetic.episodes_completed,
             "success_rate": self.genetic.window.running_rate,
             "return_mean": self._batch_stats.get("return_mean"),
+            "diverged": self._num_diverged(),
+            "skipped_updates": sum(update.num_skipped for update in self.updates),
         }
         if self._evaluation is not None:
             fitness = self._evaluation.scores[keys.FITNESS]
@@ -190,6 +204,9 @@ class RunMonitor(TrainerHookBase):
             }
             self._evaluation = None
         return row
+
+    def _num_diverged(self) -> int:
+        return 0 if self.faults is None else self.faults.num_diverged
 
     def _note_batch(self, batch: TensorDictBase) -> None:
         done = batch["next", keys.DONE]

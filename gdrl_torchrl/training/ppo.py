@@ -60,6 +60,7 @@ class PPOLearner(OptimizationStepper):
         optimizer: Optimiser of the loss's parameters.
         config: PPO's settings.
         seed: Seed of the order of minibatches.
+        on_non_finite: As of :class:`~gdrl_torchrl.training.update.Update`.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class PPOLearner(OptimizationStepper):
         config: PPOConfig,
         *,
         seed: int,
+        on_non_finite: str = "stop",
     ) -> None:
         self.advantage = advantage
         self.minibatch_size = config.minibatch_size
@@ -80,7 +82,13 @@ class PPOLearner(OptimizationStepper):
         read += [names.advantage, names.value_target, names.value]
         self._keys = list(dict.fromkeys(read))
         # A trainer averages whatever an update returns: nobody reads the diagnostics.
-        self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
+        self.update = Update(
+            loss,
+            optimizer,
+            config.max_grad_norm,
+            diagnostics=[],
+            on_non_finite=on_non_finite,
+        )
         self._minibatches: list[Any] = []
 
     def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
@@ -108,16 +116,24 @@ class PPOLearner(OptimizationStepper):
         return self._minibatches.pop(0)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """One update; the losses by name, detached."""
-        return self._update(sub_batch)
+        """One update; the losses by name, detached.
+
+        Raises:
+            NonFiniteUpdateError: If something in it is not finite.
+        """
+        return self.update(sub_batch)
 
     def state_dict(self) -> dict[str, Any]:
-        """Generator of the order."""
-        return {"generator": self.generator.get_state()}
+        """Generator of the order, and a counter."""
+        return {
+            "generator": self.generator.get_state(),
+            "num_skipped": self.update.num_skipped,
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         self.generator.set_state(state_dict["generator"])
+        self.update.num_skipped = state_dict["num_skipped"]
 
 
 def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
@@ -141,7 +157,14 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         frames_per_batch=algorithm.frames_per_batch,
         policy_keys=["action_log_prob", "loc", "scale"],
     )
-    learner = PPOLearner(loss, advantage, optimizer, algorithm, seed=config.seed)
+    learner = PPOLearner(
+        loss,
+        advantage,
+        optimizer,
+        algorithm,
+        seed=config.seed,
+        on_non_finite=config.faults.on_non_finite_update,
+    )
     with warnings.catch_warnings():
         # TorchRL calls its trainers prototypes.
         warnings.simplefilter("ignore")
@@ -165,5 +188,6 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         optimizer=optimizer,
         collector=collector,
         parts={"learner": learner},
+        updates=[learner.update],
         critic=critic,
     )

@@ -81,6 +81,7 @@ class RainbowLearner(OptimizationStepper):
         config: Rainbow's settings.
         seed: Seed of the choice among other policies' transitions.
         exploration: The module whose epsilon decays, if there is one.
+        on_non_finite: As of :class:`~gdrl_torchrl.training.update.Update`.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class RainbowLearner(OptimizationStepper):
         *,
         seed: int,
         exploration: EGreedyModule | None = None,
+        on_non_finite: str = "stop",
     ) -> None:
         self.loss, self.optimizer, self.buffer = loss, optimizer, buffer
         self.config = config
@@ -102,7 +104,13 @@ class RainbowLearner(OptimizationStepper):
         self.num_episodes = 0
         self._target_and_online = target_and_online(loss)
         # A trainer averages whatever an update returns: nobody reads the diagnostics.
-        self._update = Update(loss, optimizer, config.max_grad_norm, diagnostics=[])
+        self.update = Update(
+            loss,
+            optimizer,
+            config.max_grad_norm,
+            diagnostics=[],
+            on_non_finite=on_non_finite,
+        )
         self._anneal()
 
     def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
@@ -129,9 +137,16 @@ class RainbowLearner(OptimizationStepper):
         return draw_minibatch(self.buffer)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """One update; the losses by name, detached."""
+        """One update; the losses by name, detached.
+
+        Raises:
+            NonFiniteUpdateError: If something in it is not finite; nothing has changed,
+                the priorities included.
+        """
         resample_noise(self.loss)
-        losses = self._update(sub_batch)
+        losses = self.update(sub_batch)
+        if self.update.skipped:
+            return losses
         torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
         note_errors(self.buffer, sub_batch)
         self.num_updates += 1
@@ -160,6 +175,7 @@ class RainbowLearner(OptimizationStepper):
             "buffer": buffer_state(self.buffer),
             "num_updates": self.num_updates,
             "num_episodes": self.num_episodes,
+            "num_skipped": self.update.num_skipped,
             "generator": self.generator.get_state(),
         }
 
@@ -168,6 +184,7 @@ class RainbowLearner(OptimizationStepper):
         load_buffer_state(self.buffer, state_dict["buffer"])
         self.num_updates = state_dict["num_updates"]
         self.num_episodes = state_dict["num_episodes"]
+        self.update.num_skipped = state_dict["num_skipped"]
         self.generator.set_state(state_dict["generator"])
         self._anneal()
 
@@ -202,7 +219,13 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         env, policy, frames_per_batch=algorithm.frames_per_batch, policy_keys=[]
     )
     learner = RainbowLearner(
-        loss, optimizer, buffer, algorithm, seed=config.seed, exploration=exploration
+        loss,
+        optimizer,
+        buffer,
+        algorithm,
+        seed=config.seed,
+        exploration=exploration,
+        on_non_finite=config.faults.on_non_finite_update,
     )
     with warnings.catch_warnings():
         # TorchRL calls its trainers prototypes.
@@ -226,6 +249,7 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
         optimizer=optimizer,
         collector=collector,
         parts={"learner": learner},
+        updates=[learner.update],
         follow_switch=functools.partial(soft_update_target, loss),
         share_experience=learner.share,
     )

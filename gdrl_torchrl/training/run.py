@@ -7,6 +7,7 @@ import dataclasses
 import errno
 import logging
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from gdrl_torchrl.training.build import Training, build_training, make_task_of
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
+    flush_to_disk,
     seed_everything,
 )
 from gdrl_torchrl.training.evaluate import (
@@ -29,6 +31,7 @@ from gdrl_torchrl.training.evaluate import (
     params_sha256,
     save_policy,
 )
+from gdrl_torchrl.training.faults import FaultFiles
 from gdrl_torchrl.training.monitor import COLUMNS, RunMonitor, is_spent
 from gdrl_torchrl.training.run_directory import (
     MetricsTable,
@@ -37,6 +40,7 @@ from gdrl_torchrl.training.run_directory import (
     code_version,
     run_key,
 )
+from gdrl_torchrl.training.update import NonFiniteUpdateError
 from gdrl_torchrl.training.video import (
     record_trajectories,
     save_trajectories,
@@ -46,6 +50,11 @@ from gdrl_torchrl.training.video import (
 _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_OF_THE_DISK = (
+    *_FULL,
+    *(errno.EACCES, errno.EIO, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR),
+    *(errno.EPERM, errno.EROFS),
+)
 
 
 class InterruptedRunError(RuntimeError):
@@ -64,6 +73,28 @@ class InterruptedRunError(RuntimeError):
         self.path = path
 
 
+class TrainingDivergedError(RuntimeError):
+    """A loss, a gradient or a parameter was not finite, and training was ended there.
+
+    Attributes:
+        path: The run directory.
+        batch: File with the minibatch, if one was written.
+        checkpoint: The last checkpoint, from before; None if there was none yet.
+    """
+
+    def __init__(
+        self, error: NonFiniteUpdateError, directory: RunDirectory, batch: Path | None
+    ) -> None:
+        saved = sorted(directory.checkpoints.glob("checkpoint-*"))
+        self.path, self.batch = directory.path, batch
+        self.checkpoint = saved[-1] if saved else None
+        super().__init__(
+            f"{directory.path}: {error}; minibatch: {batch or 'not kept'}; last good "
+            f"checkpoint: {self.checkpoint or 'none yet'}. The same command goes on from "
+            "there; faults.on_non_finite_update=skip makes no such updates"
+        )
+
+
 def run_experiment(config: ExperimentConfig) -> Path:
     """Bring a run to its end and return its directory.
 
@@ -74,11 +105,12 @@ def run_experiment(config: ExperimentConfig) -> Path:
         ValueError: If the configuration is not valid.
         RunDirectoryError: If the directory cannot be used, or the disk is full.
         InterruptedRunError: If a signal stopped training.
+        TrainingDivergedError: If something in an update was not finite.
     """
     # What is wrong is said before anything is written.
     make_task_of(config)
     directory = RunDirectory.of(config)
-    with directory.locked():
+    with _disk_errors_named(directory.path), directory.locked():
         if _is_complete(directory, config):
             _logger.info("already complete: %s", directory.path)
             return directory.path
@@ -95,11 +127,6 @@ def run_experiment(config: ExperimentConfig) -> Path:
                 directory.write_json(
                     "FAILED", {"error": f"{type(error).__name__}: {error}"}
                 )
-            if isinstance(error, OSError) and error.errno in _FULL:
-                raise RunDirectoryError(
-                    f"{directory.path}: {error}; the checkpoints before are whole: free "
-                    "some space, and the same command goes on from them"
-                ) from error
             raise
         directory.write_json(
             "DONE",
@@ -112,12 +139,33 @@ def run_experiment(config: ExperimentConfig) -> Path:
     return directory.path
 
 
+@contextlib.contextmanager
+def _disk_errors_named(path: Path) -> Iterator[None]:
+    """Let errors of the disk say which run they are about, and what to do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _OF_THE_DISK:
+            raise
+        advice = ""
+        if error.errno in _FULL:
+            advice = (
+                "; checkpoints that were saved are whole: free some space, and the same "
+                "command goes on from them"
+            )
+        raise RunDirectoryError(f"{path}: {error}{advice}") from error
+
+
 def _run(directory: RunDirectory, config: ExperimentConfig) -> dict[str, Any]:
     seed_everything(config.seed)
-    training = build_training(config)
+    faults = FaultFiles(directory.path, config)
+    training = build_training(config, on_divergence=faults.note_world)
     try:
-        costs = _train(directory, config, training)
-        _report(directory, config, training, costs)
+        costs = _train(directory, config, training, faults)
+        _report(directory, config, training, faults, costs)
+    except NonFiniteUpdateError as error:
+        batch = faults.note_update(error)
+        raise TrainingDivergedError(error, directory, batch) from error
     finally:
         training.close()
     return costs
@@ -134,18 +182,30 @@ def _is_complete(directory: RunDirectory, config: ExperimentConfig) -> bool:
 
 
 def _train(
-    directory: RunDirectory, config: ExperimentConfig, training: Training
+    directory: RunDirectory,
+    config: ExperimentConfig,
+    training: Training,
+    faults: FaultFiles,
 ) -> dict[str, Any]:
     table = MetricsTable(directory.metrics, COLUMNS)
+
+    def save(step: int) -> None:
+        # First what a run that goes on from this checkpoint will not write again.
+        flush_to_disk(directory.metrics)
+        logger: Any = monitor.logger
+        if logger is not None:
+            logger.experiment.flush()
+        checkpoints.save(step)
+
     with contextlib.ExitStack() as stack:
-        logger = _make_logger(directory, config, stack)
         monitor = RunMonitor(
             training.genetic,
             config.budget,
             table,
-            save=lambda step: checkpoints.save(step),
+            save=save,
             save_interval_s=config.checkpoint.interval_s,
-            logger=logger,
+            faults=faults,
+            updates=training.agent.updates,
         )
         monitor.register(training.agent.trainer)
         state = TrainingState(training, monitor)
@@ -161,6 +221,7 @@ def _train(
         except CheckpointError as error:
             raise RunDirectoryError(str(error)) from error
         table.cut_after(monitor.total_steps)
+        monitor.logger = _make_logger(directory, config, stack, monitor.total_steps)
         if not is_spent(config.budget, monitor.counters()):
             monitor.start()
             stack.callback(monitor.stop)
@@ -172,14 +233,17 @@ def _train(
 
 
 def _make_logger(
-    directory: RunDirectory, config: ExperimentConfig, stack: contextlib.ExitStack
+    directory: RunDirectory,
+    config: ExperimentConfig,
+    stack: contextlib.ExitStack,
+    total_steps: int,
 ) -> Logger | None:
     if not config.logger.tensorboard:
         return None
-    # Imported here because tensorboard takes a second to import.
-    from torchrl.record.loggers.tensorboard import TensorboardLogger
+    # Imported here because tensorboard takes a while to import.
+    from gdrl_torchrl.training.tensorboard import ResumedTensorboardLogger
 
-    logger = TensorboardLogger("tensorboard", log_dir=str(directory.path))
+    logger = ResumedTensorboardLogger(directory.path, total_steps)
     stack.callback(logger.experiment.close)
     return logger
 
@@ -188,6 +252,7 @@ def _report(
     directory: RunDirectory,
     config: ExperimentConfig,
     training: Training,
+    faults: FaultFiles,
     costs: dict[str, Any],
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
@@ -205,6 +270,7 @@ def _report(
         config.evaluation,
         backend=config.task.backend,
         num_threads=threads,
+        on_divergence=faults.note_world,
     )
     record = evaluation_record(config, scores, costs, params_sha256(actor))
     directory.write_json("evaluation.json", record)

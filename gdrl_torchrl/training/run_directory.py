@@ -8,8 +8,8 @@ import fcntl
 import functools
 import hashlib
 import importlib.metadata
-import io
 import json
+import logging
 import os
 import platform
 import subprocess
@@ -19,8 +19,22 @@ from pathlib import Path
 from typing import Any
 
 import gdrl_tasks
+from gdrl_torchrl.analysis.fields import COUNT, OBJECT, SECONDS, TEXT, Kind, read_object
+from gdrl_torchrl.analysis.metrics_file import read_rows, split_lines
 from gdrl_torchrl.config.schema import ExperimentConfig
 
+_logger = logging.getLogger(__name__)
+_FIELDS: Mapping[str, Mapping[str, Kind]] = {
+    "provenance.json": {"code": TEXT},
+    "DONE": {
+        "code": TEXT,
+        "costs.agent_steps": COUNT,
+        "costs.total_steps": COUNT,
+        "costs.wall_s": SECONDS,
+        "evaluation": OBJECT,
+    },
+}
+"""What is read of files."""
 _NOT_IN_KEY = (
     "name",
     "seed",
@@ -32,6 +46,7 @@ _NOT_IN_KEY = (
     "checkpoint",
     "logger",
     "simulation",
+    "faults",
 )
 """What does not change what is learned, or may change between two starts of a run."""
 
@@ -84,15 +99,18 @@ class RunDirectory:
         """Read a file; None if there is none.
 
         Raises:
-            RunDirectoryError: If it is not JSON.
+            RunDirectoryError: If it is not JSON, or a field that is read is missing or
+                not what it must be.
         """
         path = self.path / name
         if not path.exists():
             return None
         try:
-            return json.loads(path.read_text())
-        except ValueError as error:
-            raise RunDirectoryError(f"{path} is not valid JSON: {error}") from error
+            return read_object(path, _FIELDS.get(name, {}))
+        except (OSError, ValueError) as error:
+            raise RunDirectoryError(
+                f"{error}: remove this file to go on without it"
+            ) from error
 
     def open(self, config: ExperimentConfig) -> None:
         """Create the directory, or check that it may go on.
@@ -102,6 +120,9 @@ class RunDirectory:
                 not set.
         """
         self.path.mkdir(parents=True, exist_ok=True)
+        # What a killed process, or one on a full disk, had not finished.
+        for partial in self.path.glob(".*.partial*"):
+            partial.unlink()
         known = self.read_json("provenance.json")
         here = provenance()
         if known is not None and known["code"] != here["code"] and not config.force:
@@ -225,19 +246,40 @@ class MetricsTable:
     def cut_after(self, total_steps: int) -> None:
         """Drop the rows after a step: what a resumed run will write again.
 
+        Rows before it that are missing are named in a warning.
+
         Raises:
-            RunDirectoryError: If a row has no number of steps.
+            RunDirectoryError: If the table is damaged.
         """
-        # A row that a kill cut short lacks the end of its line.
-        text, end, _ = self.path.read_text().rpartition("\n")
-        rows = csv.DictReader(io.StringIO(text + end))
         try:
-            kept = [row for row in rows if int(row["total_steps"]) <= total_steps]
-        except (KeyError, TypeError, ValueError) as error:
-            raise RunDirectoryError(f"{self.path} is damaged: {error!r}") from error
+            # A row that a kill cut short lacks the end of its line.
+            names, lines, rest = split_lines(self.path)
+            if not names and not ",".join(self.columns).startswith(rest.rstrip("\r")):
+                raise ValueError("its first line is not that of a table")
+            if unknown := sorted(set(names) - set(self.columns)):
+                raise ValueError(f"columns {unknown} are unknown")
+            if names and "total_steps" not in names:
+                raise ValueError("there is no column total_steps")
+            rows = read_rows(names, lines, self.path)
+        except ValueError as error:
+            raise RunDirectoryError(
+                f"{self.path} is damaged: {error}: move it away to begin a new table"
+            ) from error
+        column = names.index("total_steps") if names else 0
+        steps = [row[column] or 0 for row in rows]
+        kept = [
+            dict(zip(names, line.split(","), strict=True))
+            for line, step in zip(lines, steps, strict=True)
+            if step <= total_steps
+        ]
+        last = max((step for step in steps if step <= total_steps), default=0)
+        if last < total_steps:
+            _logger.warning(
+                "%s has no rows from step %d to %d", self.path, last, total_steps
+            )
         temporary = self.path.with_name(f".{self.path.name}.partial")
         with open(temporary, "w", newline="") as file:
-            writer = csv.DictWriter(file, self.columns, extrasaction="ignore")
+            writer = csv.DictWriter(file, self.columns)
             writer.writeheader()
             writer.writerows(kept)
         os.replace(temporary, self.path)

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.objectives.common import LossModule
 
 from gdrl_torchrl.objectives.traced_loss import TracedLoss
+
+_logger = logging.getLogger(__name__)
+
+
+class NonFiniteUpdateError(RuntimeError):
+    """A loss, a gradient or a parameter is not a finite number.
+
+    Attributes:
+        names: What is not finite: losses, ``gradient of`` parameters, or parameters.
+        batch: The minibatch ``[B]``.
+    """
+
+    def __init__(self, names: list[str], batch: TensorDictBase) -> None:
+        super().__init__(f"not finite in an update: {', '.join(names)}")
+        self.names = names
+        self.batch = batch
 
 
 class Update:
@@ -19,6 +37,12 @@ class Update:
         optimizer: The optimiser.
         max_grad_norm: Gradients of a larger norm, all together, are scaled to it.
         diagnostics: What the loss is to return beside its losses; None is everything.
+        on_non_finite: What a loss or a gradient that is not finite leads to: ``stop``
+            raises an error before anything is changed, ``skip`` makes no update.
+
+    Attributes:
+        num_skipped: Updates that were not made.
+        skipped: Whether the last one was not.
     """
 
     def __init__(
@@ -28,26 +52,70 @@ class Update:
         max_grad_norm: float,
         *,
         diagnostics: Iterable[str] | None = None,
+        on_non_finite: str = "stop",
     ) -> None:
         self.optimizer = optimizer
         self.max_grad_norm = max_grad_norm
+        self.on_non_finite = on_non_finite
+        self.num_skipped = 0
+        self.skipped = False
         self._parameters = [
             parameter for group in optimizer.param_groups for parameter in group["params"]
+        ]
+        named = {id(parameter): name for name, parameter in loss.named_parameters()}
+        self._names = [
+            named.get(id(p), f"parameter {i}") for i, p in enumerate(self._parameters)
         ]
         self._loss = TracedLoss(loss, self._parameters, diagnostics=diagnostics)
 
     def __call__(self, batch: TensorDictBase) -> TensorDict:
-        """Make one update; losses and diagnostics, detached, and ``grad_norm``."""
+        """Make one update; losses and diagnostics, detached, and ``grad_norm``.
+
+        Raises:
+            NonFiniteUpdateError: If a loss or a gradient is not finite, unless such
+                updates are skipped, or a parameter is not.
+        """
         losses = self._loss.backward(batch)
-        norm = self._clip_gradients()
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
+        with torch.no_grad():
+            norm = torch.stack(torch._foreach_norm(gradients)).norm()
+        losses.set("grad_norm", norm)
+        minimised: list[Any] = [x for n, x in losses.items() if n.startswith("loss")]
+        self.skipped = not self._are_finite([norm, *minimised])
+        if self.skipped:
+            self._skip(losses, batch)
+            return losses
+        self._clip(gradients, norm)
         self.optimizer.step()
-        return losses.set("grad_norm", norm)
+        if not self._are_finite(self._parameters):
+            raise NonFiniteUpdateError(self._non_finite(losses), batch)
+        return losses
 
     @torch.no_grad()
-    def _clip_gradients(self) -> torch.Tensor:
+    def _clip(self, gradients: list[torch.Tensor], norm: torch.Tensor) -> None:
         """As ``clip_grad_norm_`` of torch, which groups tensors by device first."""
-        gradients = [p.grad for p in self._parameters if p.grad is not None]
-        norm = torch.stack(torch._foreach_norm(gradients)).norm()
         scale = (self.max_grad_norm / (norm + 1e-6)).clamp_max(1.0)
         torch._foreach_mul_(gradients, scale)
-        return norm
+
+    def _skip(self, losses: TensorDictBase, batch: TensorDictBase) -> None:
+        error = NonFiniteUpdateError(self._non_finite(losses), batch)
+        # With a parameter that is not finite no later update would be either.
+        if self.on_non_finite == "stop" or not self._are_finite(self._parameters):
+            raise error
+        self.num_skipped += 1
+        _logger.warning("update skipped: %s", error)
+
+    @torch.no_grad()
+    def _are_finite(self, tensors: list[torch.Tensor]) -> bool:
+        return bool(torch.stack(torch._foreach_norm(tensors)).isfinite().all())
+
+    def _non_finite(self, losses: TensorDictBase) -> list[str]:
+        """Names of what is not finite."""
+        gradients = [
+            (f"gradient of {name}", p.grad)
+            for name, p in zip(self._names, self._parameters, strict=True)
+            if p.grad is not None
+        ]
+        parameters = zip(self._names, self._parameters, strict=True)
+        named = [*losses.items(), *gradients, *parameters]
+        return [str(name) for name, x in named if not bool(torch.isfinite(x).all())]

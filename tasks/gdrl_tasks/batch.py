@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
+from gdrl_tasks.divergence import DivergedWorld, StateMemory
 from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.quiet import quiet_engine
 from gdrl_tasks.seeds import Stream, episode_seeds
 from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex
@@ -97,6 +98,8 @@ class BatchSimulation:
             self._make_shard(slice(low, high))
             for low, high in zip(self._bounds[:-1], self._bounds[1:], strict=True)
         ]
+        self._on_divergence: Callable[[DivergedWorld], None] | None = None
+        self._memory: StateMemory | None = None
         self._pool: ThreadPoolExecutor | None = None
         if count > 1:
             self._pool = ThreadPoolExecutor(count - 1, "gdrl-simulation")
@@ -165,6 +168,8 @@ class BatchSimulation:
         finite = np.isfinite(action) if action.ndim == 1 else np.isfinite(action).all(1)
         healthy = finite & rows_are_sane(ids, self.qpos, self.qvel)
         runnable = ids if healthy.all() else ids[healthy]
+        if self._memory is not None:
+            self._memory.note()
         self.task.set_action(self.arrays, runnable, action[healthy])
         diverged = ~healthy
         with quiet_engine():
@@ -175,10 +180,21 @@ class BatchSimulation:
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
         if diverged.any():
-            self._report(ids[diverged & (outcome_before == Outcome.RUNNING)])
+            rows = np.flatnonzero(diverged & (outcome_before == Outcome.RUNNING))
+            self._report(ids[rows], action[rows])
         truncated = (outcome == Outcome.TIMEOUT) & self.task.truncates_at_limit
         terminated = (outcome != Outcome.RUNNING) & ~truncated
         return StepResult(observation, reward, terminated, truncated, outcome)
+
+    def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:
+        """Call a function with every world that diverges, once in an episode.
+
+        From now on the state before every step is kept: one copy of it.
+        """
+        self._on_divergence = on_divergence
+        engines = [shard.batch.state for shard in self._shards]
+        named = self.arrays | {"qpos": self.qpos, "qvel": self.qvel}
+        self._memory = StateMemory(named, engines)
 
     def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
         """Flat observations of worlds, ``[K, D]``."""
@@ -278,43 +294,21 @@ class BatchSimulation:
             raise ValueError(f"ids={worst} must be in [0, {self.num_worlds})")
         raise ValueError(f"ids={ids.tolist()} must be ascending, each once")
 
-    def _report(self, ids: WorldIndex) -> None:
-        for world in ids:
+    def _report(self, ids: WorldIndex, action: np.ndarray) -> None:
+        for world, command in zip(ids.tolist(), action, strict=True):
             _logger.debug(
                 "world %d diverged in episode %d at step %d",
                 world,
                 self.arrays["episode_seed"][world],
                 self.arrays["steps"][world],
             )
-
-
-class quiet_engine:  # noqa: N801 - used like a function
-    """Send MuJoCo's warnings to our log: not to the terminal, nor to a file.
-
-    Any number of threads may be inside; the last one to leave restores what was.
-    """
-
-    __slots__ = ()
-    _lock = threading.Lock()
-    _inside = 0
-    _previous: Any = None
-
-    # A class, because it is entered at every step and a generator costs twice as much.
-    def __enter__(self) -> None:
-        own = quiet_engine
-        with own._lock:
-            if own._inside == 0:
-                own._previous = mujoco.get_mju_user_warning()
-                mujoco.set_mju_user_warning(_log_warning)
-            own._inside += 1
-
-    def __exit__(self, *error: object) -> None:
-        own = quiet_engine
-        with own._lock:
-            own._inside -= 1
-            if own._inside == 0:
-                mujoco.set_mju_user_warning(own._previous)
-
-
-def _log_warning(message: str) -> None:
-    _logger.debug("MuJoCo: %s", message)
+            if self._on_divergence is not None and self._memory is not None:
+                self._on_divergence(
+                    DivergedWorld(
+                        world=world,
+                        action=np.array(command),
+                        before=self._memory.of(world),
+                        qpos=self.qpos[world].copy(),
+                        qvel=self.qvel[world].copy(),
+                    )
+                )

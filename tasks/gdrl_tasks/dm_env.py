@@ -32,9 +32,9 @@ from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import specs
 
-from gdrl_tasks.batch import quiet_engine
 from gdrl_tasks.kernels import all_sane
 from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.quiet import quiet_engine
 from gdrl_tasks.task import NavigationTask
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)

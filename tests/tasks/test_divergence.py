@@ -5,6 +5,7 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome
+from gdrl_tasks.divergence import repeat_step
 
 NUM_WORLDS = 60
 
@@ -216,3 +217,50 @@ def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
     for _ in range(60):
         result = worlds.step(np.sign(generator.normal(size=(NUM_WORLDS, 2))))
         assert not (result.outcome == Outcome.DIVERGED).any()
+
+
+@every_task
+@every_injury
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_the_step_that_diverged_is_told_once_and_can_be_repeated(
+    injure, num_threads, name, silence
+):
+    worlds, diverged = started(name, num_threads), []
+    worlds.watch(diverged.append)
+    actions = random_actions(worlds.task, (4, NUM_WORLDS))
+    for action in actions[:2]:
+        worlds.step(action)
+    assert diverged == []
+    for world in (7, 41):
+        injure(worlds.qpos[world], worlds.qvel[world])
+    for action in actions[2:]:
+        worlds.step(action)
+    assert [told.world for told in diverged] == [7, 41]
+    for told in diverged:
+        assert told.steps == 2
+        assert told.episode_seed == worlds.arrays["episode_seed"][told.world]
+        again = repeat_step(worlds.task, told.before, told.action)
+        assert again.arrays["outcome"] == Outcome.DIVERGED
+        np.testing.assert_array_equal(again.qpos[0], told.qpos)
+        np.testing.assert_array_equal(again.qvel[0], told.qvel)
+
+
+@every_task
+def test_a_step_is_repeated_bit_for_bit(name):
+    """A world whose action is not a number, with the one that it should have had."""
+    worlds, healthy = (started(name, actions="continuous") for _ in range(2))
+    diverged = []
+    worlds.watch(diverged.append)
+    actions = random_actions(worlds.task, (5, NUM_WORLDS))
+    for action in actions[:4]:
+        worlds.step(action)
+        healthy.step(action)
+    expected = healthy.step(actions[4])
+    wrong = actions[4].copy()
+    wrong[7] = np.nan
+    worlds.step(wrong)
+    assert len(diverged) == 1
+    again = repeat_step(worlds.task, diverged[0].before, actions[4, 7])
+    np.testing.assert_array_equal(again.observe(), expected.observation[7:8])
+    np.testing.assert_array_equal(again.qvel[0], healthy.qvel[7])
+    np.testing.assert_array_equal(again.qpos[0], healthy.qpos[7])

@@ -37,7 +37,7 @@ def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(
     assert int(rows[-1]["population_steps"]) > 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1])
 def test_a_signal_saves_and_the_same_command_goes_on(
     number, tiny, tmp_path, monkeypatch, rows_of, evaluation_of
 ):

@@ -46,6 +46,7 @@ OF_ALGORITHM = {
         *LEARNER,
         "algorithm.minibatch_size=16",
         "algorithm.updates_per_batch=2",
+        "algorithm.num_steps=3",
         "algorithm.num_atoms=11",
         "algorithm.warmup_steps=40",
         "algorithm.replay_capacity=200",
@@ -139,5 +140,5 @@ def test_a_genetic_algorithm_beside_an_evolution_is_refused(small):
 )
 def test_an_impossible_pair_says_which_variant_to_choose(name, needed, small):
     other = {"discrete": "continuous", "continuous": "discrete"}[needed]
-    with pytest.raises(ValueError, match=f"needs task.actions={other}"):
+    with pytest.raises(ValueError, match=f"give task.actions={other}"):
         run_experiment(small(name, f"task.actions={needed}"))

@@ -1,0 +1,108 @@
+"""``gdrl-replay <file> [task.<option>=<value> ...]``: look at a fault of a run again.
+
+A world that diverged makes its last step once more, perhaps with other options of the
+task; of an update that was not finite it is told where numbers are missing.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from gdrl_torchrl.cli.compose import merge_task
+
+_USAGE = "usage: gdrl-replay <file of faults/> [task.<option>=<value> ...]"
+
+
+def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
+    """Look at a file of a run's ``faults`` folder.
+
+    Args:
+        path: The file.
+        overrides: Options of the task, ``name=value``.
+
+    Returns:
+        What is found, as JSON can hold it.
+
+    Raises:
+        ValueError: If the file cannot be read or is not one of those, or an override is
+            not valid.
+    """
+    # torch takes seconds to import: arguments are checked before.
+    from gdrl_torchrl.training.state_file import read_state
+
+    try:
+        content = read_state(path)
+        kind = content["kind"]
+    except (OSError, TypeError, KeyError) as error:
+        raise ValueError(f"{path} is not a file about a fault: {error!r}") from error
+    if kind not in _KINDS:
+        raise ValueError(f"{path}: kind={kind!r} must be one of {sorted(_KINDS)}")
+    try:
+        found = _KINDS[kind](content, overrides)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is damaged: {error!r}") from error
+    return {"file": str(path), "kind": kind, **found}
+
+
+def _replay_world(content: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
+    from gdrl_tasks import Outcome
+    from gdrl_tasks.divergence import repeat_step
+    from gdrl_torchrl.config.task import make_task_from_config
+
+    task = make_task_from_config(merge_task(content["task"], overrides))
+    before = content["before"]
+    worlds = repeat_step(task, before, content["action"])
+    outcome = Outcome(int(worlds.arrays["outcome"][0]))
+    return {
+        "task": task.name,
+        "overrides": [f"task.{override}" for override in overrides],
+        "episode_seed": int(before["episode_seed"][0]),
+        "steps_before": int(before["steps"][0]),
+        "action": content["action"].tolist(),
+        "qpos_before": before["qpos"][0].tolist(),
+        "qvel_before": before["qvel"][0].tolist(),
+        "qpos_after": worlds.qpos[0].tolist(),
+        "qvel_after": worlds.qvel[0].tolist(),
+        "outcome": outcome.name.lower(),
+        "diverges_again": outcome == Outcome.DIVERGED,
+    }
+
+
+def _replay_update(content: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
+    from gdrl_torchrl.training.faults import non_finite_entries
+
+    if overrides:
+        raise ValueError(f"task.{overrides[0]}: an update has no task to change")
+    batch = content["batch"]
+    return {
+        "not_finite": content["not_finite"],
+        "rows": len(next(iter(batch.values()))),
+        "entries": {name: list(value.shape) for name, value in batch.items()},
+        "numbers_not_finite": non_finite_entries(batch),
+    }
+
+
+_KINDS = {"diverged_world": _replay_world, "update": _replay_update}
+
+
+def main() -> None:
+    """Entry point of ``gdrl-replay``."""
+    files, overrides = [], []
+    for argument in sys.argv[1:]:
+        is_override = argument.startswith("task.") and "=" in argument
+        (overrides if is_override else files).append(argument)
+    if len(files) != 1:
+        sys.exit(f"error: {_USAGE}")
+    try:
+        found = replay(Path(files[0]), [o.removeprefix("task.") for o in overrides])
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    # NaN and Infinity as Python's json reads and writes them.
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""What must hold between the parts of a configuration, before anything is built."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from gdrl_torchrl.config.algorithms import GAConfig, RainbowConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
+
+if TYPE_CHECKING:
+    from gdrl_tasks import NavigationTask
+
+_MOST_DM_CONTROL_SEED = (2**32 - 1) // 1000 - 100
+"""A world's seed is a thousand times the run's and its number, and has 32 bits."""
+
+
+def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
+    """Raise ValueError if parts of a configuration exclude each other.
+
+    Only what concerns training: a trained policy may be evaluated on another task.
+    """
+    algorithm, budget, evolution = config.algorithm, config.budget, config.evolution
+    label = f"algorithm.name={algorithm.name!r}"
+    # Algorithms of other packages need not have such a field.
+    num_steps, limit = getattr(algorithm, "num_steps", 1), task.spec.step_limit
+    if num_steps > limit:
+        raise ValueError(
+            f"algorithm.num_steps={num_steps} must be <= task.step_limit={limit}: no "
+            "return is over more steps than an episode has"
+        )
+    if isinstance(algorithm, GAConfig) and budget.total_steps is budget.wall_s is None:
+        raise ValueError(
+            f"budget.agent_steps={budget.agent_steps} must not be the only budget with "
+            f"{label}, whose agent takes no steps: give budget.total_steps"
+        )
+    on_switch = getattr(evolution, "critic_on_switch", "keep")
+    if on_switch == "reset" and isinstance(algorithm, RainbowConfig):
+        raise ValueError(
+            f"evolution.critic_on_switch='reset' must be 'keep' with {label}, which has no "
+            "critic"
+        )
+    if config.task.backend == "dm_control" and config.seed > _MOST_DM_CONTROL_SEED:
+        raise ValueError(
+            f"seed={config.seed} must be <= {_MOST_DM_CONTROL_SEED} with "
+            "task.backend='dm_control'"
+        )

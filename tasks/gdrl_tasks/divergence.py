@@ -1,0 +1,113 @@
+"""What is known of a world that diverged, and its last step once more."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gdrl_tasks.task import NavigationTask
+
+if TYPE_CHECKING:
+    from gdrl_tasks.batch import BatchSimulation
+
+
+@dataclasses.dataclass(frozen=True)
+class DivergedWorld:
+    """A world whose state is not to be believed after a step."""
+
+    world: int
+    """Its number in the simulation that it was in."""
+    action: np.ndarray
+    """Of that step, ``[A]`` or ``[]``."""
+    before: dict[str, np.ndarray]
+    """The task's arrays, ``qpos``, ``qvel`` and ``engine`` before that step, ``[1, ...]``
+    each."""
+    qpos: np.ndarray
+    """Generalised positions after it, ``[nq]``."""
+    qvel: np.ndarray
+    """Generalised velocities after it, ``[nv]``."""
+
+    @property
+    def episode_seed(self) -> int:
+        """Seed of the episode."""
+        return int(self.before["episode_seed"][0])
+
+    @property
+    def steps(self) -> int:
+        """Control steps that the episode had made before."""
+        return int(self.before["steps"][0])
+
+
+class StateMemory:
+    """The state of all worlds before their last step.
+
+    Args:
+        named: Arrays ``[W, ...]`` by name.
+        engines: States of the engines, ``[W_i, S]``, of neighbouring worlds each.
+    """
+
+    def __init__(
+        self, named: Mapping[str, np.ndarray], engines: Sequence[np.ndarray]
+    ) -> None:
+        self._sources = [*named.values(), *engines]
+        self._copies = [source.copy() for source in self._sources]
+        self._names = list(named)
+
+    def note(self) -> None:
+        """Take a copy of the state."""
+        for copy, source in zip(self._copies, self._sources, strict=True):
+            np.copyto(copy, source)
+
+    def of(self, world: int) -> dict[str, np.ndarray]:
+        """The copy's rows of a world, ``[1, ...]`` each."""
+        count = len(self._names)
+        rows = {
+            name: copy[world : world + 1].copy()
+            for name, copy in zip(self._names, self._copies, strict=False)
+        }
+        engine = np.concatenate(self._copies[count:])
+        return rows | {"engine": engine[world : world + 1]}
+
+
+def repeat_step(
+    task: NavigationTask, before: Mapping[str, np.ndarray], action: np.ndarray
+) -> BatchSimulation:
+    """Make a step from a state; the simulation of one world, after it.
+
+    Args:
+        task: The task, perhaps with other options.
+        before: The state, as of :class:`DivergedWorld`.
+        action: The action, ``[A]`` or ``[]``.
+
+    Raises:
+        ValueError: If the state or the action is not one of the task's.
+
+    Examples:
+        >>> from gdrl_tasks import simulate
+        >>> worlds, diverged = simulate("water", num_worlds=3), []
+        >>> worlds.watch(diverged.append)
+        >>> _ = worlds.reset()
+        >>> worlds.qvel[1, 0] = np.inf
+        >>> _ = worlds.step(np.zeros((3, 2)))
+        >>> diverged[0].world, diverged[0].steps
+        (1, 0)
+        >>> again = repeat_step(worlds.task, diverged[0].before, diverged[0].action)
+        >>> again.arrays["outcome"]
+        array([4])
+    """
+    from gdrl_tasks.batch import BatchSimulation
+
+    simulation = BatchSimulation(task, 1, num_threads=1)
+    own = ("qpos", "qvel", "engine")
+    state = {
+        name if name in own else f"arrays.{name}": value for name, value in before.items()
+    }
+    counters = simulation.get_state()
+    for name in ("seed", "num_episodes_begun"):
+        state[name] = counters[name]
+    simulation.set_state(state)
+    simulation.step(action[None])
+    return simulation
