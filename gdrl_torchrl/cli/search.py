@@ -24,6 +24,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from gdrl_torchrl.analysis.fields import RATE, read_object
 from gdrl_torchrl.cli.compose import (
     CONFIG_MODULE,
     EXIT_SAVED,
@@ -159,8 +160,8 @@ class Search:
             for seed in self.config.seeds:
                 # A run with a larger budget goes on where it was.
                 path = self.run(self._experiment(chosen, seed, budget))
-                evaluation = json.loads((path / "evaluation.json").read_text())
-                rates.append(evaluation["success_rate"])
+                told = read_object(path / "evaluation.json", {"success_rate": RATE})
+                rates.append(told["success_rate"])
             value = statistics.fmean(rates)
             trial.report(value, budget)
             if budget != budgets[-1] and trial.should_prune():

@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
-from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from gdrl_torchrl.analysis.run_files import read_evaluation
 from gdrl_torchrl.cli.compose import (
     CONFIG_MODULE,
     EXIT_SAVED,
@@ -76,7 +75,7 @@ def _run_job(config: DictConfig) -> float:
     except (RunDirectoryError, TrainingDivergedError) as error:
         raise ValueError(str(error)) from error
     print(path)
-    return float(json.loads((Path(path) / "evaluation.json").read_text())["success_rate"])
+    return float(read_evaluation(path)["success_rate"])
 
 
 def main() -> None:
