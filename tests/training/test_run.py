@@ -207,7 +207,7 @@ def test_a_task_that_does_not_work_leaves_no_directory(override, message, tiny, 
 
 
 def test_rainbow_refuses_a_task_with_continuous_actions(tiny_rainbow, tmp_path):
-    with pytest.raises(ValueError, match=r"'continuous' must be 'discrete' with .*'rainbow'"):
+    with pytest.raises(ValueError, match=r"must be 'discrete' with .*'rainbow'"):
         run_experiment(tiny_rainbow("task.actions=continuous"))
     assert not list(tmp_path.iterdir())
 
