@@ -82,13 +82,8 @@ class RainbowConfig:
     def __post_init__(self) -> None:
         check_fields(self, "algorithm")
         check_whole_rows(self.frames_per_batch, self.num_worlds)
-        for smaller, larger in (
-            ("warmup_steps", "replay_capacity"),
-            # Several transitions of a batch would be written to one place.
-            ("frames_per_batch", "replay_capacity"),
-            ("epsilon_end", "epsilon_start"),
-        ):
-            check_at_most("algorithm", self, smaller, larger)
+        check_at_most("algorithm", self, "warmup_steps", "replay_capacity")
+        check_at_most("algorithm", self, "epsilon_end", "epsilon_start")
 
 
 @dataclasses.dataclass

@@ -9,6 +9,7 @@ import importlib
 import math
 import pkgutil
 import re
+import sys
 import typing
 from importlib import resources
 
@@ -187,7 +188,6 @@ GA = "experiment=ga_water"
         "algorithm.num_worlds=7 algorithm.frames_per_batch=2048",
         "algorithm.minibatch_size=512 algorithm.frames_per_batch=256",
         f"{RAINBOW} algorithm.warmup_steps=300 algorithm.replay_capacity=256",
-        f"{RAINBOW} algorithm.frames_per_batch=3200 algorithm.replay_capacity=3000",
         f"{RAINBOW} algorithm.epsilon_end=0.5 algorithm.epsilon_start=0.2",
         f"{RAINBOW} algorithm.num_steps=9 task.step_limit=8",
         f"{RAINBOW} algorithm.num_steps=501 task.step_limit=null",
@@ -290,12 +290,15 @@ ORDINARY = {
     "algorithm.updates_per_batch": (1, 3, 5),
     "algorithm.num_steps": (1, 2, 8, 9),
     "algorithm.num_atoms": (2, 3, 51, 1000),
-    "algorithm.replay_capacity": (40, 60, 64, 10_000),
+    "algorithm.replay_capacity": (7, 40, 64, 10_000),
     "algorithm.warmup_steps": (1, 41, 200, 10_000),
     "algorithm.population_size": (2, 3, 5),
     "algorithm.num_validated": (0, 1, 3),
     "evolution.rates": ([0.5, 0.2, 0.1], [0.2], [1.0, 0.0]),
     "evolution.thresholds": ([0.4, 0.8], [], [0.5], [0.0, 1.0], [0.8, 0.4]),
+    "evolution.mutation": ("bernoulli", "pseudocode", "scaled"),
+    "evolution.crossover": ("none", "n_point"),
+    "evolution.tie_rule": ("return_then_parent", "parent", "child", "none"),
     "evolution.num_points": (1, 2, 1000),
     "evolution.sensitivity_rows": (1, 7, 1_000_000),
     "evolution.period_episodes": (1, 4, 8, 1_000_000),
@@ -335,7 +338,7 @@ def values_of(dotted, owner, name):
     (field,) = (field for field in dataclasses.fields(owner) if field.name == name)
     kind, choices = types_of(owner)[name], field.metadata.get("choices", ())
     bounds = field.metadata.get("range")
-    ordinary = [*ORDINARY.get(dotted, ()), *choices]
+    ordinary = list(ORDINARY.get(dotted, choices))
     ends = []
     if typing.get_origin(kind) is typing.Literal:
         ordinary += typing.get_args(kind)
@@ -393,7 +396,7 @@ def arguments(draw):
         owner = task_options(task) if group == "task" else made[group][0]
         dotted = f"{group}.{name}" if group else name
         made[group][1][name] = draw(values_of(dotted, owner, name))
-    if draw(st.integers(0, 4)) == 0:
+    if draw(st.sampled_from([False, False, False, True])):
         group, name = draw(st.sampled_from(fields))
         made[group][1][name] = draw(st.sampled_from(ABSURD))
     return made
@@ -455,7 +458,7 @@ def assert_names_what_is_wrong(said, made):
 @pytest.mark.parametrize(
     "examples", [pytest.param(15), pytest.param(200, marks=pytest.mark.full)]
 )
-def test_any_configuration_runs_or_is_refused(examples, record_property):
+def test_any_configuration_runs_or_is_refused(examples):
     ended = collections.Counter()
 
     @given(made=arguments())
@@ -480,6 +483,6 @@ def test_any_configuration_runs_or_is_refused(examples, record_property):
         event("ran")
 
     try_one()
-    record_property("ended", dict(ended))
+    sys.stdout.write(f"{dict(ended)}\n")
     assert ended["ran"] >= examples / 4, ended
     assert ended["refused"] >= examples / 4, ended
