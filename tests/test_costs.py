@@ -86,7 +86,7 @@ def test_operations_and_calls_of_an_update(training):
 
     for _ in range(2):
         update()
-    [kind] = learner._update._loss._traced.values()
+    [kind] = learner.update._loss._traced.values()
     assert kind.graph.num_operations <= {"indoor": 140, "water": 130}[training.task.name]
     assert calls_of(update) < {"indoor": 1500, "water": 900}[training.task.name]
 

@@ -129,7 +129,7 @@ def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_p
     second = sweep(tmp_path, *axes)
     printed, said = second.communicate(timeout=300)
     assert second.returncode != 0, "a job failed"
-    assert "needs task.actions=discrete" in said
+    assert "give task.actions=discrete" in said
     runs = find_runs(tmp_path)
     assert [run_row(run)["state"] for run in runs] == ["done"] * 3
     assert len(printed.split()) == 3
@@ -142,7 +142,7 @@ def test_each_job_of_the_local_launcher_has_a_process_and_errors_are_shown(tmp_p
     job = sweep(tmp_path, *axes, "hydra/launcher=submitit_local")
     _, said = job.communicate(timeout=300)
     assert job.returncode != 0, "a job failed"
-    assert "needs task.actions=discrete" in said
+    assert "give task.actions=discrete" in said
     (run,) = find_runs(tmp_path)
     assert run_row(run)["state"] == "done"
     # A pickled result of each process.

@@ -119,9 +119,12 @@ def test_the_result_is_the_champion(name, small, monkeypatch):
     monkeypatch.setattr(run, "save_policy", save_and_note)
     trained = []
     build = run.build_training
-    monkeypatch.setattr(
-        run, "build_training", lambda config: trained.append(build(config)) or trained[0]
-    )
+
+    def build_and_note(config, **watching):
+        trained.append(build(config, **watching))
+        return trained[0]
+
+    monkeypatch.setattr(run, "build_training", build_and_note)
     run_experiment(small(name, "budget.total_steps=300", "budget.agent_steps=200"))
     champion = trained[0].genetic.final_genome()
     weights = dict(champions[0].named_parameters())

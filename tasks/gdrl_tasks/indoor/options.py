@@ -38,7 +38,7 @@ class IndoorOptions:
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     control_interval_s: float = within(0.12, above=0.0, most=10.0)
     substep_s: float = within(0.02, least=1e-4, most=0.1)
-    step_limit: int | None = within(None, least=1, most=100_000)
+    step_limit: int | None = within(None, least=1, most=1_000_000)
     """None takes the arena's: 500, in the corridor 1,000."""
 
     def __post_init__(self) -> None:

@@ -55,7 +55,7 @@ class WaterOptions:
     """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
     control_interval_s: float = within(0.25, above=0.0, most=10.0)
     substep_s: float = within(0.03125, least=1e-4, most=0.1)
-    step_limit: int = within(160, least=1, most=100_000)
+    step_limit: int = within(160, least=1, most=1_000_000)
     wave_components: int = within(12, least=1, most=1000)
 
     def __post_init__(self) -> None:
