@@ -22,6 +22,16 @@ ALL = [
     "task.goal_tolerance_m=0.5",
     "network.actor_cells=[8,8]",
 ]
+# So near that some get there: a population without differences hands nothing over.
+OF_TASK = {
+    "indoor": [],
+    "water": [
+        "task.sea=calm",
+        "task.goal_distance_m=[0.7,1.2]",
+        "task.goal_tolerance_m=0.6",
+        "task.step_limit=12",
+    ],
+}
 LEARNER = ["algorithm.num_worlds=4", f"algorithm.frames_per_batch={FRAMES}"]
 OF_ALGORITHM = {
     "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
@@ -69,7 +79,8 @@ def options_of():
 
     def options(experiment):
         config = load_experiment([f"experiment={experiment}"])
-        chosen = [f"experiment={experiment}", *ALL, *OF_ALGORITHM[config.algorithm.name]]
+        chosen = [f"experiment={experiment}", *ALL, *OF_TASK[config.task.name]]
+        chosen += OF_ALGORITHM[config.algorithm.name]
         if config.evolution.enabled:
             chosen += ERL if isinstance(config.evolution, ErlConfig) else GENETIC
         # An evaluation a row, where there is no agent.
