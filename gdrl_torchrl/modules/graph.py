@@ -68,6 +68,9 @@ class TracedFunction:
                 _merge_equal_nodes(whole.graph)
                 _PlainFunctions(whole).run(*tensors)
         whole.graph.eliminate_dead_code()
+        nodes = list(whole.graph.nodes)
+        self.is_pure = not any(_is_random(node) or _writes(node) for node in nodes)
+        """Whether it neither draws numbers nor writes into what others may read."""
         self._before, self._after = _split(whole, count)
         self.num_operations = sum(
             node.op == "call_function" and "getitem" not in str(node.target)

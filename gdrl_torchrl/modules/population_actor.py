@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -123,17 +123,22 @@ class PopulationActor:
         return rows.set("policy_is_finite", finite)
 
     @torch.no_grad()
-    def actions(self, inputs: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
+    def actions(
+        self, inputs: TensorDictBase, *, parts: int = 1, run_all: Any = map
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Act and give the actions alone, heads traced too where that is possible.
 
         Args:
             inputs: What the actor reads, ``[P, S]``.
+            parts: Runs of members that act one after another, where there is a graph.
+            run_all: As ``map``, or ``map`` of a pool of threads for them to act side by
+                side. The actions are the same.
 
         Returns:
             Actions ``[P, S, ...]`` and the mask of rows whose network output was a
             number ``[P, S]``.
         """
-        traced = self._run_graph(inputs, whole=True)
+        traced = self._run_parts(inputs, parts, run_all)
         if traced is not None:
             action, finite = traced
             if bool(finite.all()):
@@ -147,16 +152,40 @@ class PopulationActor:
 
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
-        traced = self._run_graph(inputs)
-        if traced is None:
+        run = self._graph_of(inputs)
+        if run is None:
             assert self._params is not None
             return _leaves(self._vmapped(self._params, inputs))
-        return dict(zip(self._prefix.out_keys, traced, strict=True))
+        return dict(zip(self._prefix.out_keys, run.outputs(), strict=True))
 
-    def _run_graph(
-        self, inputs: TensorDictBase, *, whole: bool = False
+    def _run_parts(
+        self, inputs: TensorDictBase, parts: int, run_all: Any
     ) -> tuple[torch.Tensor, ...] | None:
-        """Outputs of the graph for inputs ``[P, S]``, or None if there is no graph."""
+        """Actions and whether they are numbers, or None if there is no graph."""
+        if parts == 1:
+            run = self._graph_of(inputs, whole=True)
+            return None if run is None else run.outputs()
+        begin, runs = 0, []
+        for part in inputs.split(-(-len(inputs) // parts)):
+            members = slice(begin, begin + len(part))
+            runs.append(self._graph_of(part, members, whole=True))
+            begin = members.stop
+        if None in runs:
+            return None
+        # What one draws or writes, another may not be in the middle of.
+        if not all(run.graph.is_pure for run in runs):
+            run_all = map
+        outputs = run_all(_Run.outputs, runs)
+        return tuple(torch.cat(each) for each in zip(*outputs, strict=True))
+
+    def _graph_of(
+        self,
+        inputs: TensorDictBase,
+        members: slice = slice(None),
+        *,
+        whole: bool = False,
+    ) -> _Run | None:
+        """The graph for inputs ``[P, S]`` of some members; None if there is none."""
         if not self.trace:
             return None
         values = _leaves(inputs)
@@ -169,14 +198,16 @@ class PopulationActor:
         )
         if key not in self._graphs:
             run = self._run_whole if whole else self._run_prefix
-            self._graphs[key] = self._traced(run, inputs)
+            self._graphs[key] = self._traced(run, inputs, members)
         graph = self._graphs[key]
         if graph is None:
             return None
-        if key not in self._prepared:
+        prepared = (*key, members.start)
+        if prepared not in self._prepared:
             assert self._params is not None
-            self._prepared[key] = graph.prepare(list(_leaves(self._params).values()))
-        return graph.run(self._prepared[key], list(values.values()))
+            leaves = _leaves(self._params[members]).values()
+            self._prepared[prepared] = graph.prepare(list(leaves))
+        return _Run(graph, self._prepared[prepared], list(values.values()))
 
     def _run_prefix(
         self, params: TensorDictBase, inputs: TensorDictBase
@@ -203,10 +234,13 @@ class PopulationActor:
             rows = head(rows)
         return [rows[self.action_key].unflatten(0, size), finite.unflatten(0, size)]
 
-    def _traced(self, run: Any, inputs: TensorDictBase) -> TracedFunction | None:
+    def _traced(
+        self, run: Any, inputs: TensorDictBase, members: slice
+    ) -> TracedFunction | None:
         """A function of genomes and inputs as a graph, or None if it is not one."""
         assert self._params is not None
-        params, count = _leaves(self._params), self._params.batch_size
+        genomes: Any = self._params[members]
+        params, count = _leaves(genomes), genomes.batch_size
         leaves, size = _leaves(inputs), inputs.batch_size
 
         def flat(constants: Tensors, values: Tensors) -> Tensors:
@@ -218,6 +252,17 @@ class PopulationActor:
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         with params.to_module(self._prefix, preserve_module_state=False):
             return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
+
+
+class _Run(NamedTuple):
+    """A graph and what it is to run with."""
+
+    graph: TracedFunction
+    prepared: Tensors
+    inputs: Tensors
+
+    def outputs(self) -> tuple[torch.Tensor, ...]:
+        return self.graph.run(self.prepared, self.inputs)
 
 
 def _leaves(values: TensorDictBase) -> dict[Any, torch.Tensor]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -202,6 +204,35 @@ def test_what_does_not_evolve_is_read_anew_at_every_load(actor_of, population_of
                 parameter.mul_(1.5)
 
 
+@pytest.mark.parametrize("parts", [2, 3, 5])
+def test_parts_on_threads_act_as_the_whole_does(parts, actor_kind, actor_of, population_of):
+    actor = actor_of(actor_kind)
+    population = PopulationActor(actor)
+    inputs = rows(5 * EPISODES).reshape(5, EPISODES)
+    with ThreadPoolExecutor(2) as pool:
+        for scale in (1.0, 2.0):
+            population.load(population_of(actor, 5) * scale)
+            action, finite = population.actions(inputs)
+            for run_all in (map, pool.map):
+                same = population.actions(inputs, parts=parts, run_all=run_all)
+                assert torch.equal(same[0], action)
+                assert torch.equal(same[1], finite)
+    # TorchRL's head of distributions cannot be traced: the whole acts then.
+    if actor_kind != "distributional":
+        assert None not in population._graphs.values()
+
+
+def test_parts_mark_a_member_that_is_not_finite(actor_kind, actor_of, population_of):
+    actor = actor_of(actor_kind)
+    genomes = population_of(actor, 4)
+    genomes[2].apply_(lambda leaf: leaf.fill_(float("nan")))
+    population = PopulationActor(actor)
+    population.load(genomes)
+    inputs = rows(4 * EPISODES).reshape(4, EPISODES)
+    _, finite = population.actions(inputs, parts=2)
+    assert finite.all(dim=1).tolist() == [True, True, False, True]
+
+
 class Shaken(nn.Module):
     """A network that is random, whatever the mode."""
 
@@ -223,6 +254,17 @@ def test_a_random_policy_stays_random():
     assert (one != other).all()
     assert (one[:2] != one[2:]).all(), "members draw numbers of their own"
     assert None not in population._graphs.values()
+    inputs = rows.reshape(2, 2)
+
+    def draw(run_all):
+        torch.manual_seed(0)
+        return population.actions(inputs, parts=2, run_all=run_all)[0]
+
+    def backwards(function, runs):
+        return [function(run) for run in reversed(runs)][::-1]
+
+    assert torch.equal(draw(map), draw(backwards)), "in order, whoever runs them"
+    assert (draw(map)[0] != draw(map)[1]).all()
 
 
 class Counting(nn.Module):

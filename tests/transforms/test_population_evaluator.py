@@ -25,7 +25,10 @@ from gdrl_tasks import Outcome, Stream
 from gdrl_tasks.seeds import stream_of
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.evolution.genome import genome_of
 from gdrl_torchrl.evolution.selection import rank_scores, select_best
+from gdrl_torchrl.transforms import blocks
+from gdrl_torchrl.transforms.blocks import block_shapes
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 
@@ -726,14 +729,14 @@ def test_shrinking_blocks_are_whole_batches_of_the_environment(
         assert (alone == logged).all()
         return alone, transitions
 
-    blocks, transitions = evaluate(lambda env: env)
+    straight, transitions = evaluate(lambda env: env)
     # Nobody knows what a transform does, so this one is stepped as an environment.
     whole, expected = evaluate(lambda env: TransformedEnv(env, StepCounter()))
-    assert blocks["steps"].unique().numel() > 20, "episodes end at different times"
+    assert straight["steps"].unique().numel() > 20, "episodes end at different times"
     for key in ("steps", "outcomes", "successes", "frames"):
-        assert torch.equal(blocks[key], whole[key]), key
+        assert torch.equal(straight[key], whole[key]), key
     for key in ("returns", "fitness", "path_length", "episode_return"):
-        assert torch.allclose(blocks[key], whole[key], atol=1e-5), key
+        assert torch.allclose(straight[key], whole[key], atol=1e-5), key
     expected = expected.exclude("step_count", ("next", "step_count"))
     assert set(transitions.keys(True, True)) == set(expected.keys(True, True))
     for key in expected.keys(True, True):
@@ -742,6 +745,54 @@ def test_shrinking_blocks_are_whole_batches_of_the_environment(
         one, other = transitions[key], expected[key]
         assert one.dtype == other.dtype, key
         assert torch.allclose(one.double(), other.double(), atol=1e-5), key
+
+
+def test_any_number_of_threads_gives_the_same_scores_bit_by_bit(
+    actor_of, population_of, monkeypatch
+):
+    monkeypatch.setattr(blocks, "_PART_PRODUCTS", 4_000)
+    task = gdrl_tasks.make_task("indoor", step_limit=40, num_beams=5)
+    actor = actor_of("q_value", 7, Categorical(5))
+    population = population_of(actor, 11)
+
+    def evaluate(threads):
+        env = NavigationEnv(task, 132, num_threads=threads)
+        evaluator = PopulationEvaluator(actor, num_episodes=12, create_env_fn=lambda: env)
+        found = evaluator.evaluate(population, seeds=torch.arange(12))
+        evaluator.close()
+        return found
+
+    one = evaluate(1)
+    for threads in (2, 3):
+        assert (evaluate(threads) == one).all()
+    weights = sum(value.numel() for value in genome_of(actor).values(True, True))
+    assert block_shapes(11, 12, weights)[0].parts > 3
+    monkeypatch.undo()
+    assert (evaluate(2) == one).all(), "as if there were one part"
+
+
+def test_torch_has_the_threads_that_it_had(actor_of, population_of, evaluator_for):
+    evaluator = evaluator_for(actor_of("tanh_normal"), 6, num_episodes=3)
+    population = population_of(actor_of("tanh_normal"), 2)
+    seen, act = [], evaluator.population.actions
+
+    def noting(*args, **kwargs):
+        seen.append(torch.get_num_threads())
+        return act(*args, **kwargs)
+
+    evaluator.population.actions = noting
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(3)
+        evaluator.evaluate(population)
+        assert torch.get_num_threads() == 3
+        evaluator.population.actions = None
+        with pytest.raises(TypeError):
+            evaluator.evaluate(population)
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+    assert set(seen) == {1}
 
 
 def test_a_transformed_environment_is_never_bypassed(
