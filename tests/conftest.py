@@ -20,6 +20,8 @@ from torchrl.modules import (
 from torchrl.modules.models.models import DuelingMlpDQNet
 
 from gdrl_tasks import make_task
+from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.config.evolution import ErlConfig
 from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.mutation import bernoulli_mutation
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor
@@ -36,6 +38,47 @@ EASY = {
     "step_limit": 24,
 }
 """Water that an untrained network often crosses; without waves nothing is chaotic."""
+
+SMALL = [
+    "evaluation.episodes=3",
+    "evaluation.num_worlds=2",
+    "logger.video_episodes=0",
+    "task.step_limit=8",
+    "task.goal_tolerance_m=0.5",
+    "network.actor_cells=[8,8]",
+]
+LEARNER = ["algorithm.num_worlds=4", "algorithm.frames_per_batch=40"]
+SMALL_OF_ALGORITHM = {
+    "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
+    "rainbow": [
+        *LEARNER,
+        "algorithm.minibatch_size=16",
+        "algorithm.updates_per_batch=2",
+        "algorithm.num_steps=3",
+        "algorithm.num_atoms=11",
+        "algorithm.warmup_steps=60",
+        "algorithm.replay_capacity=200",
+    ],
+    "ga": [
+        "algorithm.population_size=4",
+        "algorithm.num_parents=2",
+        "algorithm.num_validated=2",
+        "algorithm.num_trials=2",
+        "algorithm.validation_trials=2",
+    ],
+}
+SMALL_ERL = [
+    "evolution.population_size=4",
+    "evolution.num_elites=1",
+    "evolution.num_trials=2",
+]
+SMALL_GENETIC = [
+    "evolution.num_children=3",
+    "evolution.num_trials=2",
+    "evolution.period_episodes=8",
+    "evolution.screening_trials=1",
+    "evolution.test_trials=2",
+]
 
 
 def _dueling(size: int, actions: int) -> nn.Module:
@@ -126,6 +169,22 @@ def population_of() -> Callable[..., TensorDictBase]:
 @pytest.fixture
 def member_of() -> Callable[..., nn.Module]:
     return make_member
+
+
+@pytest.fixture
+def small_options() -> Callable[[str], list[str]]:
+    """Overrides that make an experiment small; it has 40 steps of the agent a row."""
+
+    def options(experiment: str) -> list[str]:
+        config = load_experiment([f"experiment={experiment}"])
+        chosen = [f"experiment={experiment}", *SMALL]
+        chosen += SMALL_OF_ALGORITHM[config.algorithm.name]
+        if config.evolution.enabled:
+            is_erl = isinstance(config.evolution, ErlConfig)
+            chosen += SMALL_ERL if is_erl else SMALL_GENETIC
+        return chosen
+
+    return options
 
 
 @pytest.fixture

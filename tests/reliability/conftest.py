@@ -13,15 +13,6 @@ from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.config.evolution import ErlConfig
 
 ROWS = 90
-FRAMES = 40
-ALL = [
-    "evaluation.episodes=3",
-    "evaluation.num_worlds=2",
-    "logger.video_episodes=0",
-    "task.step_limit=8",
-    "task.goal_tolerance_m=0.5",
-    "network.actor_cells=[8,8]",
-]
 # So near that some get there: a population without differences hands nothing over.
 OF_TASK = {
     "indoor": [],
@@ -32,36 +23,24 @@ OF_TASK = {
         "task.step_limit=12",
     ],
 }
-LEARNER = ["algorithm.num_worlds=4", f"algorithm.frames_per_batch={FRAMES}"]
-OF_ALGORITHM = {
-    "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
-    "rainbow": [
-        *LEARNER,
-        "algorithm.minibatch_size=16",
-        "algorithm.updates_per_batch=2",
-        "algorithm.num_steps=3",
-        "algorithm.num_atoms=11",
-        "algorithm.warmup_steps=60",
-        "algorithm.replay_capacity=200",
-    ],
-    "ga": [
-        "algorithm.population_size=4",
-        "algorithm.num_parents=2",
-        "algorithm.num_validated=2",
-        "algorithm.num_trials=2",
-        "algorithm.validation_trials=2",
-    ],
-}
-ERL = ["evolution.population_size=4", "evolution.num_elites=1", "evolution.num_trials=2"]
 # Children so different that some are better: there are hand-overs.
-GENETIC = [
-    "evolution.num_children=3",
-    "evolution.num_trials=2",
-    "evolution.period_episodes=8",
-    "evolution.mut_v=1.0",
-    "evolution.screening_trials=1",
-    "evolution.test_trials=2",
-]
+GENETIC = ["evolution.mut_v=1.0"]
+
+
+class Bomb:
+    """Leaves a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+@pytest.fixture
+def bomb_for():
+    """Makes a thing that leaves a file when it is unpickled."""
+    return Bomb
 
 
 def pytest_generate_tests(metafunc):
@@ -74,18 +53,18 @@ def pytest_generate_tests(metafunc):
 
 
 @pytest.fixture
-def options_of():
+def options_of(small_options):
     """Overrides that make an experiment small: some 90 rows in a few seconds."""
 
     def options(experiment):
-        config = load_experiment([f"experiment={experiment}"])
-        chosen = [f"experiment={experiment}", *ALL, *OF_TASK[config.task.name]]
-        chosen += OF_ALGORITHM[config.algorithm.name]
-        if config.evolution.enabled:
-            chosen += ERL if isinstance(config.evolution, ErlConfig) else GENETIC
+        chosen = small_options(experiment)
+        config = load_experiment(chosen)
+        chosen += OF_TASK[config.task.name]
+        if config.evolution.enabled and not isinstance(config.evolution, ErlConfig):
+            chosen += GENETIC
         # An evaluation a row, where there is no agent.
         total = 3000 if config.algorithm.name == "ga" else "null"
-        budget = [f"budget.total_steps={total}", f"budget.agent_steps={ROWS * FRAMES}"]
+        budget = [f"budget.total_steps={total}", f"budget.agent_steps={40 * ROWS}"]
         return [*chosen, *budget]
 
     return options

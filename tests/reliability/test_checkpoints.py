@@ -199,17 +199,7 @@ def test_what_cannot_be_saved_is_named(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-class Bomb:
-    """Leaves a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (str(self.path), "w"))
-
-
-def test_code_in_a_crafted_checkpoint_is_not_run(tmp_path):
+def test_code_in_a_crafted_checkpoint_is_not_run(bomb_for, tmp_path):
     struck = tmp_path / "struck"
     crafted = tmp_path / "checkpoints" / "checkpoint-000000000001.torchrl"
     theirs = Checkpoint().register(
@@ -220,7 +210,7 @@ def test_code_in_a_crafted_checkpoint_is_not_run(tmp_path):
     theirs.save(crafted, metadata=IDENTITY)
     (payload,) = crafted.rglob("*.tdz")
     payload.unlink()
-    TensorDict(code=NonTensorData(Bomb(struck)), tensor_00000000=torch.ones(2)).save(
+    TensorDict(code=NonTensorData(bomb_for(struck)), tensor_00000000=torch.ones(2)).save(
         payload, archive=True
     )
     # Making it copies the bomb, which sets it off.

@@ -258,16 +258,6 @@ def test_what_is_no_such_file_is_refused(reader, kind, run):
 # Code
 
 
-class Bomb:
-    """Leaves a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (str(self.path), "w"))
-
-
 def torch_file(bomb):
     stream = io.BytesIO()
     torch.save({"weights": bomb}, stream)
@@ -289,10 +279,10 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("kind", BOMBS)
-def test_code_in_a_file_is_not_run(kind, run, tmp_path):
+def test_code_in_a_file_is_not_run(kind, run, bomb_for, tmp_path):
     struck = tmp_path / "struck"
     make, set_off = BOMBS[kind]
-    content = make(Bomb(struck))
+    content = make(bomb_for(struck))
     assert not struck.exists()
     for reader, (file, *_) in READERS.items():
         with replaced(run / file, content):

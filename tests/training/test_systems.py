@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.config.evolution import ErlConfig
 from gdrl_torchrl.training import run
 from gdrl_torchrl.training.run import run_experiment
 
@@ -28,56 +27,18 @@ SYSTEMS = {
     "gppo_indoor": "gppo",
     "grainbow_water": "grainbow",
 }
-ALL = [
-    "evaluation.episodes=3",
-    "evaluation.num_worlds=2",
+PLAIN = [
     "logger.tensorboard=false",
-    "logger.video_episodes=0",
     "simulation.num_threads=1",
     "checkpoint.interval_s=0",
-    "task.step_limit=8",
-    "task.goal_tolerance_m=0.5",
-    "network.actor_cells=[8,8]",
-]
-LEARNER = ["algorithm.num_worlds=4", "algorithm.frames_per_batch=40"]
-OF_ALGORITHM = {
-    "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
-    "rainbow": [
-        *LEARNER,
-        "algorithm.minibatch_size=16",
-        "algorithm.updates_per_batch=2",
-        "algorithm.num_steps=3",
-        "algorithm.num_atoms=11",
-        "algorithm.warmup_steps=40",
-        "algorithm.replay_capacity=200",
-    ],
-    "ga": [
-        "algorithm.population_size=4",
-        "algorithm.num_parents=2",
-        "algorithm.num_validated=2",
-        "algorithm.num_trials=2",
-        "algorithm.validation_trials=2",
-    ],
-}
-ERL = ["evolution.population_size=4", "evolution.num_elites=1", "evolution.num_trials=2"]
-GENETIC = [
-    "evolution.num_children=3",
-    "evolution.num_trials=2",
-    "evolution.period_episodes=8",
-    "evolution.screening_trials=1",
-    "evolution.test_trials=2",
 ]
 
 
 @pytest.fixture
-def small(tmp_path):
+def small(tmp_path, small_options):
     def compose(name, *overrides):
-        plain = load_experiment([f"experiment={name}"])
-        options = [*ALL, *OF_ALGORITHM[plain.algorithm.name]]
-        if plain.evolution.enabled:
-            options += ERL if isinstance(plain.evolution, ErlConfig) else GENETIC
         runs = f"runs_dir={tmp_path / 'runs'}"
-        return load_experiment([f"experiment={name}", *options, runs, *overrides])
+        return load_experiment([*small_options(name), *PLAIN, runs, *overrides])
 
     return compose
 
