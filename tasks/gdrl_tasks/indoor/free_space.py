@@ -8,13 +8,9 @@ import math
 
 import numpy as np
 
-from gdrl_tasks.indoor.kernel import (
-    clearances_on_grid,
-    fast_sweep,
-    goal_in_sight,
-    sure_looks,
-)
+from gdrl_tasks.indoor.kernel import clearances_on_grid
 from gdrl_tasks.indoor.obstacles import Shapes
+from gdrl_tasks.indoor.ways import fast_sweep, goal_in_sight, sure_looks
 
 CELL_M = 0.1
 """Side of a grid cell."""

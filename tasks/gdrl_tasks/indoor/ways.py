@@ -1,0 +1,245 @@
+"""Shortest ways on a grid of free cells, as compiled loops."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_SLOPES = 256
+"""Directions that are told apart behind each of the four sides of a square."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
+    """How far :func:`goal_in_sight` may go on without a look, for each cell ``[R, C]``.
+
+    ``spare`` is the room around each cell ``[R, C]``; ``free`` is how much of it a free
+    cell has, ``fast`` one that is passed at full speed, all in cells. 0 is a cell that
+    is not free, 1 one that is slow, others are one more than the looks (half a cell each)
+    until there may be something in the way, the next one included.
+    """
+    looks = np.empty(spare.shape, dtype=np.uint8)
+    for r in range(spare.shape[0]):
+        for c in range(spare.shape[1]):
+            # Room shrinks by a cell per cell at most. A look is within 0.71 cells of the
+            # middle of its own cell, within 1.12 of a corner's that it may cut.
+            sure = 2.0 * (spare[r, c] - fast - 1.9)
+            looks[r, c] = 1 + min(max(sure, 1.0), 250.0)
+            if spare[r, c] < fast:
+                looks[r, c] = 1 if spare[r, c] >= free else 0
+    return looks
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def goal_in_sight(
+    looks: np.ndarray, row: int, column: int, rows_away: float, columns_away: float
+) -> bool:
+    """Whether the straight way from a cell to a goal is free and at full speed.
+
+    Then it is the shortest, and the sweeps need not find it: their differences are of
+    first order and make it up to a tenth too long. ``looks`` ``[R, C]`` are those of
+    :func:`sure_looks`.
+    """
+    rows, columns = looks.shape
+    # Two looks per cell of the way.
+    count = int(2.0 * math.sqrt(rows_away * rows_away + columns_away * columns_away)) + 1
+    step_r, step_c = rows_away / count, columns_away / count
+    last_r, last_c = row, column
+    i = 0
+    while i < count:
+        r = int(row + i * step_r + 0.5)
+        c = int(column + i * step_c + 0.5)
+        if not (0 <= r < rows and 0 <= c < columns):
+            return False
+        sure = looks[r, c]
+        if sure < 2:
+            return False
+        # Between two cells that share a corner there may be no room.
+        if r != last_r and c != last_c and not looks[last_r, c] and not looks[r, last_c]:
+            return False
+        i += sure - 1
+        last_r = int(row + (i - 1) * step_r + 0.5)
+        last_c = int(column + (i - 1) * step_c + 0.5)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fast_sweep(
+    looks: np.ndarray,
+    speed: np.ndarray,
+    goal_dx: np.ndarray,
+    goal_dy: np.ndarray,
+    cell: float,
+    most_rounds: int,
+) -> np.ndarray:
+    """Arrival times from a goal on a grid of free cells, ``[R, C]``.
+
+    See :meth:`gdrl_tasks.indoor.free_space.FreeSpace.distances_to`; ``goal_dx`` ``[C]``
+    and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal; ``looks``
+    ``[R, C]`` are those of :func:`sure_looks`.
+    """
+    rows, columns = looks.shape
+    # With a border that nothing ever comes from.
+    arrival = np.full((rows + 2, columns + 2), np.inf)
+    is_open = np.zeros(arrival.shape, dtype=np.uint8)
+    _arrive_straight(looks, speed, goal_dx, goal_dy, cell, arrival, is_open)
+    # A cell is held against its neighbours again only if one of them has changed.
+    due = np.zeros_like(is_open)
+    for r in range(1, rows + 1):
+        for c in range(1, columns + 1):
+            if arrival[r, c] < np.inf:
+                _make_neighbours_due(due, is_open, r, c)
+                due[r, c] |= is_open[r, c]
+    for sweep in range(4 * most_rounds):
+        changed = False
+        for i in range(rows):
+            r = i if sweep % 4 < 2 else rows - 1 - i
+            for j in range(columns):
+                c = j if sweep % 2 == 0 else columns - 1 - j
+                if due[r + 1, c + 1]:
+                    due[r + 1, c + 1] = 0
+                    new = _arrival_from_neighbours(arrival, r, c, cell / speed[r, c])
+                    if new < arrival[r + 1, c + 1] - 1e-9:
+                        arrival[r + 1, c + 1] = new
+                        _make_neighbours_due(due, is_open, r + 1, c + 1)
+                        changed = True
+        # Every cell was held against all its neighbours: no sweep will change it.
+        if not changed:
+            break
+    return arrival[1:-1, 1:-1].copy()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _make_neighbours_due(due: np.ndarray, is_open: np.ndarray, r: int, c: int) -> None:
+    due[r - 1, c] |= is_open[r - 1, c]
+    due[r + 1, c] |= is_open[r + 1, c]
+    due[r, c - 1] |= is_open[r, c - 1]
+    due[r, c + 1] |= is_open[r, c + 1]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _arrive_straight(
+    looks: np.ndarray,
+    speed: np.ndarray,
+    goal_dx: np.ndarray,
+    goal_dy: np.ndarray,
+    cell: float,
+    arrival: np.ndarray,
+    is_open: np.ndarray,
+) -> None:
+    """Write the times of cells from which the way to the goal is straight.
+
+    ``is_open`` becomes 1 for the other free cells. A straight way at full speed is the
+    shortest, and differences never make it shorter, for distance is convex.
+    """
+    rows_away, columns_away = goal_dy / cell, goal_dx / cell
+    hidden, clear = horizons(looks, rows_away, columns_away)
+    for r in range(len(goal_dy)):
+        for c in range(len(goal_dx)):
+            if not looks[r, c]:
+                continue
+            exact = math.hypot(goal_dx[c], goal_dy[r])
+            if exact <= 1.5 * cell:
+                arrival[r + 1, c + 1] = exact / speed[r, c]
+                is_open[r + 1, c + 1] = speed[r, c] < 1.0
+                continue
+            face, slope, along = _direction(-rows_away[r], -columns_away[c])
+            in_sight = along <= clear[face, slope]
+            if not in_sight and along < hidden[face, slope]:
+                in_sight = goal_in_sight(looks, r, c, rows_away[r], columns_away[c])
+            if in_sight:
+                arrival[r + 1, c + 1] = exact
+            else:
+                is_open[r + 1, c + 1] = 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _direction(y: float, x: float) -> tuple[int, int, float]:
+    """The side of a square around the goal that a cell is behind, where, how far."""
+    if abs(x) >= abs(y):
+        face, along, across = (0, x, y) if x >= 0.0 else (1, -x, y)
+    else:
+        face, along, across = (2, y, x) if y >= 0.0 else (3, -y, x)
+    slope = int((across / along + 1.0) * (_SLOPES / 2))
+    return face, min(slope, _SLOPES - 1), along
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def horizons(
+    looks: np.ndarray, rows_away: np.ndarray, columns_away: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What :func:`goal_in_sight` surely says, by direction, without any look.
+
+    Seen from the goal, cells are behind one of the four sides of a square, at a slope.
+    A cell at least ``hidden`` cells along has a cell in between where a look surely falls
+    and finds no full speed; one at most ``clear`` cells along is nearer than all that a
+    look may find. Those between must look.
+
+    Args:
+        looks: As of :func:`sure_looks`, ``[R, C]``.
+        rows_away: Rows from each row to the goal, ``[R]``.
+        columns_away: Columns from each column to the goal, ``[C]``.
+
+    Returns:
+        ``hidden`` and ``clear``, in cells, ``[4, slopes]``.
+    """
+    hidden, clear = np.full((4, _SLOPES), np.inf), np.full((4, _SLOPES), np.inf)
+    # Looks at a goal in the outermost half cell may fall outside the grid.
+    if min(rows_away[0], columns_away[0], -rows_away[-1], -columns_away[-1]) < 0.0:
+        clear[:] = 0.0
+    rows, columns = looks.shape
+    for r in range(rows):
+        for c in range(columns):
+            if looks[r, c] >= 2:
+                continue
+            # What is behind others on all sides hides nothing more.
+            above, below = looks[max(r - 1, 0), c], looks[min(r + 1, rows - 1), c]
+            left, right = looks[r, max(c - 1, 0)], looks[r, min(c + 1, columns - 1)]
+            if max(above, below, left, right) < 2:
+                continue
+            y, x = -rows_away[r], -columns_away[c]
+            _hide(0, x, y, hidden, clear)
+            _hide(1, -x, y, hidden, clear)
+            _hide(2, y, x, hidden, clear)
+            _hide(3, -y, x, hidden, clear)
+    return hidden, clear
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _hide(
+    face: int, along: float, across: float, hidden: np.ndarray, clear: np.ndarray
+) -> None:
+    """Lower the horizons behind a side by what a cell that is not fast hides there."""
+    # A look that finds it, or cuts its corner, is within 1.12 cells of its middle.
+    if along < -1.3:
+        return
+    if along < 1.8:
+        if abs(across) < 3.5:
+            clear[face] = 0.0
+        return
+    middle, scale = (across / along + 1.0) * (_SLOPES / 2), _SLOPES / 2 / along
+    # 1.12 cells from a line is at most sqrt(2) as much across.
+    first, last = middle - 1.75 * scale, middle + 1.75 * scale
+    if last < 0.0 or first >= _SLOPES:
+        return
+    for n in range(int(max(first, 0.0)), int(min(last, _SLOPES - 1.0)) + 1):
+        clear[face, n] = min(clear[face, n], along - 1.3)
+    # A line as near to its middle is in it for more than half a cell, so for a look.
+    first, last = math.ceil(middle - 0.45 * scale), math.floor(middle + 0.45 * scale)
+    for n in range(max(first, 0), min(last, _SLOPES)):
+        hidden[face, n] = min(hidden[face, n], along + 0.75)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _arrival_from_neighbours(arrival: np.ndarray, r: int, c: int, step: float) -> float:
+    """Time of a cell from the earlier ones at its sides, a step apart."""
+    a = min(arrival[r, c + 1], arrival[r + 2, c + 1])
+    b = min(arrival[r + 1, c], arrival[r + 1, c + 2])
+    low, high = min(a, b), max(a, b)
+    # Both are infinite where no way has led yet, and then their difference is no number.
+    if not high - low < step:
+        return low + step
+    gap = high - low
+    return 0.5 * (low + high + math.sqrt(2.0 * step * step - gap * gap))
