@@ -23,8 +23,9 @@ OF_TASK = {
         "task.step_limit=12",
     ],
 }
-# Children so different that some are better: there are hand-overs.
-GENETIC = ["evolution.mut_v=1.0"]
+# Children so different that some are better, and a test that so few episodes can pass:
+# there are hand-overs.
+GENETIC = ["evolution.mut_v=1.0", "evolution.level=0.9"]
 
 
 class Bomb:
@@ -60,7 +61,10 @@ def options_of(small_options):
         chosen = small_options(experiment)
         config = load_experiment(chosen)
         chosen += OF_TASK[config.task.name]
-        if config.evolution.enabled and not isinstance(config.evolution, ErlConfig):
+        evolution = config.evolution
+        is_genetic = evolution.enabled and not isinstance(evolution, ErlConfig)
+        # Controls have children without differences.
+        if is_genetic and evolution.mut_v:
             chosen += GENETIC
         # An evaluation a row, where there is no agent.
         total = 3000 if config.algorithm.name == "ga" else "null"
