@@ -45,12 +45,13 @@ def bomb_for():
 
 
 def pytest_generate_tests(metafunc):
-    """A test with an argument ``any_experiment`` runs for each but the two longest."""
-    if "any_experiment" in metafunc.fixturenames:
-        folder = Path(gdrl_torchrl.conf.__path__[0], "experiment")
-        names = {path.stem for path in folder.glob("*.yaml")}
-        others = sorted(names - {"grainbow_indoor", "gppo_water"})
-        metafunc.parametrize("any_experiment", others)
+    """Runs a test for ``every_experiment``, or for ``any_experiment`` but the longest."""
+    folder = Path(gdrl_torchrl.conf.__path__[0], "experiment")
+    names = {path.stem for path in folder.glob("*.yaml")}
+    longest = {"grainbow_indoor", "gppo_water"}
+    kinds = {"every_experiment": names, "any_experiment": names - longest}
+    for argument in kinds.keys() & set(metafunc.fixturenames):
+        metafunc.parametrize(argument, sorted(kinds[argument]))
 
 
 @pytest.fixture

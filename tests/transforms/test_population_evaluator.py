@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from functools import partial
 
 import numpy as np
@@ -762,9 +763,10 @@ def test_any_number_of_threads_gives_the_same_scores_bit_by_bit(
         evaluator.close()
         return found
 
-    one = evaluate(1)
+    one, before = evaluate(1), threading.active_count()
     for threads in (2, 3):
         assert (evaluate(threads) == one).all()
+    assert threading.active_count() == before
     weights = sum(value.numel() for value in genome_of(actor).values(True, True))
     assert block_shapes(11, 12, weights)[0].parts > 3
     monkeypatch.undo()
