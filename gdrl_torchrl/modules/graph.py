@@ -15,6 +15,9 @@ Tensors = list[torch.Tensor]
 _logger = logging.getLogger(__name__)
 
 _NEW_MEMORY = (torch.ops.aten.empty.memory_format, torch.ops.aten.empty_like.default)
+_PLAIN_NAMES = {"split": "unsafe_split", "_unsafe_view": "view"}
+"""Of operators that have no quick function of their own name."""
+_RANDOM = "draws random numbers"
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
 
 
@@ -159,26 +162,35 @@ class _Identities(fx.Interpreter):
 class _PlainFunctions(fx.Interpreter):
     """Replaces operators by torch's functions of their names, which are called faster.
 
-    Only where those give the same numbers.
+    Only where those give the same numbers, and leave torch's generator in the same state.
     """
 
     def run_node(self, n: fx.Node) -> Any:
+        is_random = _is_random(n)
+        before = torch.get_rng_state() if is_random else None
         result = super().run_node(n)
         schema = getattr(n.target, "_schema", None)
-        if schema is None or _is_random(n) or not isinstance(result, torch.Tensor):
-            return result
-        if n.target in _NEW_MEMORY:  # what happens to be in it may be equal
+        # What happens to be in new memory may be equal; what is written is, once more.
+        if schema is None or n.target in _NEW_MEMORY or _mutates(n):
             return result
         name = schema.name.partition("::")[2]
+        after = torch.get_rng_state() if is_random else None
         args, kwargs = self.fetch_args_kwargs_from_env(n)
         for owner in (torch, torch.Tensor):
+            function = getattr(owner, _PLAIN_NAMES.get(name, name), None)
+            if before is not None:
+                torch.set_rng_state(before)
             try:
-                other = getattr(owner, name)(*args, **kwargs)
-            except (AttributeError, TypeError, RuntimeError):
+                other = function(*args, **kwargs)  # pyright: ignore[reportOptionalCall]
+            except (TypeError, RuntimeError):
                 continue
-            if _layout(other) == _layout(result) and _are_equal(other, result):
-                n.target = getattr(owner, name)
+            same_state = after is None or torch.equal(torch.get_rng_state(), after)
+            if same_state and _are_alike(other, result):
+                n.target = function  # pyright: ignore[reportAttributeAccessIssue]
+                n.meta[_RANDOM] = is_random  # the function itself does not tell
                 break
+        if after is not None:
+            torch.set_rng_state(after)
         return result
 
 
@@ -200,8 +212,17 @@ def _are_equal(one: torch.Tensor, other: torch.Tensor) -> bool:
     return torch.equal(one.nan_to_num(), other.nan_to_num())
 
 
+def _are_alike(one: Any, other: Any) -> bool:
+    """Whether results, tensors or lists of them, are equal and laid out alike."""
+    if not isinstance(one, torch.Tensor):
+        pairs = zip(one, other, strict=True)
+        return len(one) == len(other) and all(_are_alike(*pair) for pair in pairs)
+    return _layout(one) == _layout(other) and _are_equal(one, other)
+
+
 def _is_random(node: fx.Node) -> bool:
-    return torch.Tag.nondeterministic_seeded in getattr(node.target, "tags", ())
+    tags = getattr(node.target, "tags", ())
+    return node.meta.get(_RANDOM, torch.Tag.nondeterministic_seeded in tags)
 
 
 def _layout(tensor: torch.Tensor) -> tuple[Any, ...]:

@@ -19,6 +19,7 @@ from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex
 
 _logger = logging.getLogger(__name__)
+_RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
 _WORLDS_PER_THREAD = 8
 """Below this many worlds a second thread costs more than it saves."""
 _WORLDS_PER_SHARD = 20
@@ -165,25 +166,31 @@ class BatchSimulation:
         """
         ids = self._checked_ids(ids)
         action = self.task.spec.checked_action(action, len(ids))
-        finite = np.isfinite(action) if action.ndim == 1 else np.isfinite(action).all(1)
-        healthy = finite & rows_are_sane(ids, self.qpos, self.qvel)
-        runnable = ids if healthy.all() else ids[healthy]
+        healthy = rows_are_sane(ids, self.qpos, self.qvel)
+        if action.dtype.kind == "f":
+            finite = np.isfinite(action)
+            healthy &= finite if action.ndim == 1 else finite.all(axis=1)
         if self._memory is not None:
             self._memory.note()
-        self.task.set_action(self.arrays, runnable, action[healthy])
+        # Rows are picked only where some world is not healthy: picking copies.
+        rows = slice(None) if healthy.all() else healthy
+        self.task.set_action(self.arrays, ids[rows], action[rows])
         diverged = ~healthy
         with quiet_engine():
-            diverged[healthy] = self._advance(runnable)
+            diverged[rows] = self._advance(ids[rows])
         outcome_before = self.arrays["outcome"][ids]
         qpos = self.qpos[ids]
         reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
         if diverged.any():
-            rows = np.flatnonzero(diverged & (outcome_before == Outcome.RUNNING))
-            self._report(ids[rows], action[rows])
-        truncated = (outcome == Outcome.TIMEOUT) & self.task.truncates_at_limit
-        terminated = (outcome != Outcome.RUNNING) & ~truncated
+            newly = np.flatnonzero(diverged & (outcome_before == _RUNNING))
+            self._report(ids[newly], action[newly])
+        terminated = outcome != _RUNNING
+        truncated = np.zeros_like(terminated)
+        if self.task.truncates_at_limit:
+            truncated = outcome == _TIMEOUT
+            terminated &= ~truncated
         return StepResult(observation, reward, terminated, truncated, outcome)
 
     def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:

@@ -126,6 +126,23 @@ def test_equal_draws_stay_two():
     assert (traced.run([], tensors((50,)))[0] != 0.0).all()
 
 
+def test_draws_that_depend_on_nothing_are_new_at_every_run():
+    def explore(constants, inputs):
+        first, second = inputs[0].split(2, dim=-1)
+        chosen = torch.rand(3) < constants[0]
+        return [torch.where(chosen, torch.randint(0, 5, (3,)), first.sum(-1) + second[:, 0])]
+
+    constants, inputs = [torch.tensor(0.5)], tensors((3, 3), seed=1)
+    traced = trace(explore, constants, inputs)
+    prepared = traced.prepare(constants)
+    torch.manual_seed(0)
+    found = [traced.run(prepared, inputs)[0] for _ in range(20)]
+    torch.manual_seed(0)
+    expected = [explore(constants, inputs)[0] for _ in range(20)]
+    assert torch.equal(torch.stack(found), torch.stack(expected))
+    assert len({tuple(row.tolist()) for row in found}) > 10
+
+
 def noise(constants, inputs):
     """Numbers that are drawn in place, into memory that is new."""
     return [inputs[0] + constants[0].exp() * torch.empty(3).normal_(), constants[0].exp()]
