@@ -73,11 +73,12 @@ def make_entries(
     """
     recorded = {name: arrays[name][..., None] for name in RECORDED}
     outcome, steps = recorded["outcome"], recorded["steps"]
-    ended = outcome != Outcome.RUNNING
-    truncated = (outcome == Outcome.TIMEOUT) & task.truncates_at_limit
+    # Members of the enumeration are compared with arrays by way of Python objects.
+    ended = outcome != int(Outcome.RUNNING)
+    truncated = (outcome == int(Outcome.TIMEOUT)) & task.truncates_at_limit
     out = {
         keys.OBSERVATION: observation,
-        keys.SUCCESS: outcome == Outcome.SUCCESS,
+        keys.SUCCESS: outcome == int(Outcome.SUCCESS),
         keys.OUTCOME: outcome.copy(),
         keys.EPISODE_NUMBER: recorded["episode_number"].copy(),
         keys.EPISODE_SEED: recorded["episode_seed"].copy(),

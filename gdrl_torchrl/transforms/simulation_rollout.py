@@ -165,7 +165,7 @@ class SimulationRollout:
         arrays = self.simulation.arrays
         for key, name in self._final_names():
             if key == keys.SUCCESS:
-                final[name][worlds] = arrays["outcome"][worlds] == Outcome.SUCCESS
+                final[name][worlds] = arrays["outcome"][worlds] == int(Outcome.SUCCESS)
             else:
                 final[name][worlds] = arrays[str(key)][worlds]
 

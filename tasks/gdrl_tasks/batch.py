@@ -137,12 +137,11 @@ class BatchSimulation:
         for shard, own in zip(self._shards, self._split(ids), strict=True):
             shard.reset(own)
         # A population shares its episodes: each is drawn once.
-        unique, which = np.unique(seeds, return_inverse=True)
-        for number, seed in enumerate(unique):
-            rows = ids[which == number]
-            episode = self.task.draw_episode(int(seed))
+        for seed in dict.fromkeys(seeds.tolist()):
+            rows = ids[seeds == seed]
+            episode = self.task.draw_episode(seed)
             self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
-            self.task.begin_episode(self.arrays, rows, episode, int(seed))
+            self.task.begin_episode(self.arrays, rows, episode, seed)
         for shard, own in zip(self._shards, self._split(ids), strict=True):
             shard.write_model(own)
         self.arrays["episode_number"][ids] = start + np.arange(len(ids))
@@ -263,6 +262,8 @@ class BatchSimulation:
 
     def _split(self, ids: WorldIndex) -> list[WorldIndex]:
         """The worlds of each shard among ``ids``, numbered within the shard."""
+        if len(self._shards) == 1:
+            return [ids]
         cuts = np.searchsorted(ids, self._bounds)
         return [
             ids[begin:end] - low
@@ -271,8 +272,6 @@ class BatchSimulation:
 
     def _advance(self, ids: WorldIndex) -> np.ndarray:
         """Step worlds; mask of those that diverged, ``[K]``."""
-        if len(self._shards) == 1:
-            return self._shards[0].advance(ids)
         parts = self._split(ids)
         waiting = [
             self._pool.submit(shard.advance, own)
@@ -281,7 +280,7 @@ class BatchSimulation:
         ]
         diverged = [self._shards[0].advance(parts[0])]
         diverged += [future.result() for future in waiting]
-        return np.concatenate(diverged)
+        return diverged[0] if len(diverged) == 1 else np.concatenate(diverged)
 
     def _checked_ids(self, ids: Any) -> np.ndarray:
         if ids is None:

@@ -107,11 +107,11 @@ class Arena(abc.ABC):
         # A point is at most half a cell's diagonal from the middle.
         fits = space.clearance >= least_m + 0.0708
         fits &= self._cells_that_may_hold[is_goal]
-        rows, columns = np.nonzero(fits)
-        if len(rows) == 0:
+        cells = np.flatnonzero(fits)
+        if len(cells) == 0:
             return None
-        cell = generator.integers(len(rows))
-        middle = np.array([space.x[columns[cell]], space.y[rows[cell]]])
+        row, column = divmod(int(cells[generator.integers(len(cells))]), len(space.x))
+        middle = np.array([space.x[column], space.y[row]])
         return middle + generator.uniform(-0.05, 0.05, 2)
 
     @functools.cached_property

@@ -34,21 +34,26 @@ def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def goal_in_sight(
-    looks: np.ndarray, row: int, column: int, rows_away: float, columns_away: float
+    looks: np.ndarray,
+    row: int,
+    column: int,
+    rows_away: float,
+    columns_away: float,
+    known: float = 0.0,
 ) -> bool:
     """Whether the straight way from a cell to a goal is free and at full speed.
 
     Then it is the shortest, and the sweeps need not find it: their differences are of
     first order and make it up to a tenth too long. ``looks`` ``[R, C]`` are those of
-    :func:`sure_looks`.
+    :func:`sure_looks`; the last share of the way that is ``known`` to be so needs none.
     """
     rows, columns = looks.shape
     # Two looks per cell of the way.
     count = int(2.0 * math.sqrt(rows_away * rows_away + columns_away * columns_away)) + 1
     step_r, step_c = rows_away / count, columns_away / count
     last_r, last_c = row, column
-    i = 0
-    while i < count:
+    i, end = 0, count - int(known * count)
+    while i < end:
         r = int(row + i * step_r + 0.5)
         c = int(column + i * step_c + 0.5)
         if not (0 <= r < rows and 0 <= c < columns):
@@ -73,31 +78,35 @@ def fast_sweep(
     goal_dy: np.ndarray,
     cell: float,
     most_rounds: int,
+    reach: float,
 ) -> np.ndarray:
     """Arrival times from a goal on a grid of free cells, ``[R, C]``.
 
     See :meth:`gdrl_tasks.indoor.free_space.FreeSpace.distances_to`; ``goal_dx`` ``[C]``
     and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal; ``looks``
-    ``[R, C]`` are those of :func:`sure_looks`.
+    ``[R, C]`` are those of :func:`sure_looks`. Cells farther from the goal than ``reach``
+    are left out: times up to it, at full speed, do not depend on theirs.
     """
     rows, columns = looks.shape
+    first_r, last_r = _rows_within(goal_dy, reach)
+    first_c, last_c = _rows_within(goal_dx, reach)
     # With a border that nothing ever comes from.
     arrival = np.full((rows + 2, columns + 2), np.inf)
     is_open = np.zeros(arrival.shape, dtype=np.uint8)
-    _arrive_straight(looks, speed, goal_dx, goal_dy, cell, arrival, is_open)
+    _arrive_straight(looks, speed, goal_dx, goal_dy, cell, reach, arrival, is_open)
     # A cell is held against its neighbours again only if one of them has changed.
     due = np.zeros_like(is_open)
-    for r in range(1, rows + 1):
-        for c in range(1, columns + 1):
+    for r in range(first_r + 1, last_r + 2):
+        for c in range(first_c + 1, last_c + 2):
             if arrival[r, c] < np.inf:
                 _make_neighbours_due(due, is_open, r, c)
                 due[r, c] |= is_open[r, c]
     for sweep in range(4 * most_rounds):
         changed = False
-        for i in range(rows):
-            r = i if sweep % 4 < 2 else rows - 1 - i
-            for j in range(columns):
-                c = j if sweep % 2 == 0 else columns - 1 - j
+        for i in range(last_r - first_r + 1):
+            r = first_r + i if sweep % 4 < 2 else last_r - i
+            for j in range(last_c - first_c + 1):
+                c = first_c + j if sweep % 2 == 0 else last_c - j
                 if due[r + 1, c + 1]:
                     due[r + 1, c + 1] = 0
                     new = _arrival_from_neighbours(arrival, r, c, cell / speed[r, c])
@@ -109,6 +118,17 @@ def fast_sweep(
         if not changed:
             break
     return arrival[1:-1, 1:-1].copy()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _rows_within(away: np.ndarray, reach: float) -> tuple[int, int]:
+    """First and last of the rows whose distances ``[R]``, in order, are in reach."""
+    first, last = 0, len(away) - 1
+    while first < last and abs(away[first]) > reach:
+        first += 1
+    while last > first and abs(away[last]) > reach:
+        last -= 1
+    return first, last
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -126,6 +146,7 @@ def _arrive_straight(
     goal_dx: np.ndarray,
     goal_dy: np.ndarray,
     cell: float,
+    reach: float,
     arrival: np.ndarray,
     is_open: np.ndarray,
 ) -> None:
@@ -135,12 +156,16 @@ def _arrive_straight(
     shortest, and differences never make it shorter, for distance is convex.
     """
     rows_away, columns_away = goal_dy / cell, goal_dx / cell
-    hidden, clear = horizons(looks, rows_away, columns_away)
-    for r in range(len(goal_dy)):
-        for c in range(len(goal_dx)):
+    hidden, clear = horizons(looks, rows_away, columns_away, reach / cell)
+    first_r, last_r = _rows_within(goal_dy, reach)
+    first_c, last_c = _rows_within(goal_dx, reach)
+    for r in range(first_r, last_r + 1):
+        for c in range(first_c, last_c + 1):
             if not looks[r, c]:
                 continue
             exact = math.hypot(goal_dx[c], goal_dy[r])
+            if exact > reach:
+                continue
             if exact <= 1.5 * cell:
                 arrival[r + 1, c + 1] = exact / speed[r, c]
                 is_open[r + 1, c + 1] = speed[r, c] < 1.0
@@ -148,7 +173,10 @@ def _arrive_straight(
             face, slope, along = _direction(-rows_away[r], -columns_away[c])
             in_sight = along <= clear[face, slope]
             if not in_sight and along < hidden[face, slope]:
-                in_sight = goal_in_sight(looks, r, c, rows_away[r], columns_away[c])
+                known = clear[face, slope] / along
+                in_sight = goal_in_sight(
+                    looks, r, c, rows_away[r], columns_away[c], known
+                )
             if in_sight:
                 arrival[r + 1, c + 1] = exact
             else:
@@ -168,7 +196,10 @@ def _direction(y: float, x: float) -> tuple[int, int, float]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def horizons(
-    looks: np.ndarray, rows_away: np.ndarray, columns_away: np.ndarray
+    looks: np.ndarray,
+    rows_away: np.ndarray,
+    columns_away: np.ndarray,
+    reach: float = np.inf,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What :func:`goal_in_sight` surely says, by direction, without any look.
 
@@ -181,6 +212,7 @@ def horizons(
         looks: As of :func:`sure_looks`, ``[R, C]``.
         rows_away: Rows from each row to the goal, ``[R]``.
         columns_away: Columns from each column to the goal, ``[C]``.
+        reach: How far cells may be from the goal that are asked for, in cells.
 
     Returns:
         ``hidden`` and ``clear``, in cells, ``[4, slopes]``.
@@ -190,8 +222,10 @@ def horizons(
     if min(rows_away[0], columns_away[0], -rows_away[-1], -columns_away[-1]) < 0.0:
         clear[:] = 0.0
     rows, columns = looks.shape
-    for r in range(rows):
-        for c in range(columns):
+    first_r, last_r = _rows_within(rows_away, reach + 2.0)
+    first_c, last_c = _rows_within(columns_away, reach + 2.0)
+    for r in range(first_r, last_r + 1):
+        for c in range(first_c, last_c + 1):
             if looks[r, c] >= 2:
                 continue
             # What is behind others on all sides hides nothing more.
