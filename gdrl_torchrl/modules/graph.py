@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -90,6 +91,12 @@ class TracedFunction:
         """The function's outputs for inputs, and for the constants prepared."""
         # A module's call has hooks to look for.
         return self._after.forward(*prepared, *inputs)
+
+    def bind(self, constants: Tensors) -> Callable[..., tuple[torch.Tensor, ...]]:
+        """The function of the inputs alone, one by one: the constants as they are now."""
+        # Without their histories, so that no run need keep torch from noting its own.
+        prepared = [tensor.detach() for tensor in self.prepare(constants)]
+        return functools.partial(self._after.forward, *prepared)
 
 
 def trace(

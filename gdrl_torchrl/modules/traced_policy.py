@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -34,8 +34,8 @@ class TracedPolicy:
         >>> from gdrl_torchrl.modules.actor import make_tanh_normal_actor
         >>> actor = make_tanh_normal_actor(3, Bounded(-1, 1, shape=(2,)))
         >>> policy = TracedPolicy(actor, ["action"])
-        >>> policy.take_up_weights()
-        >>> [action] = policy([torch.zeros(5, 3)])
+        >>> act = policy.bind([torch.zeros(5, 3)])
+        >>> [action] = act(torch.ones(5, 3))
         >>> action.shape
         torch.Size([5, 2])
     """
@@ -52,30 +52,32 @@ class TracedPolicy:
         self.in_keys = list(policy.in_keys)
         self.out_keys = list(out_keys)
         self._graphs: dict[Any, TracedFunction | None] = {}
-        self._prepared: dict[Any, Tensors] = {}
-
-    def take_up_weights(self) -> None:
-        """Note that weights or buffers of the policy may have changed."""
-        self._prepared.clear()
 
     @torch.no_grad()
-    def __call__(self, inputs: Tensors) -> Sequence[torch.Tensor]:
-        """Outputs ``[B, ...]`` in the order of the keys, for inputs ``[B, ...]`` so too."""
+    def bind(self, inputs: Tensors) -> Callable[..., Sequence[torch.Tensor]]:
+        """The policy with its weights and buffers as they are now.
+
+        Args:
+            inputs: Any ``[B, ...]``, in the order of the keys.
+
+        Returns:
+            A function of inputs of those shapes, one by one, that gives the outputs
+            ``[B, ...]``, exploring as is set now.
+        """
         # All that the operations depend on beside the numbers.
         key = (
             tuple((x.shape, x.dtype) for x in inputs),
             exploration_type(),
             self.policy.training,
         )
+        weights = self._weights()
         if key not in self._graphs:
-            graph = trace(self._run, self._weights(), inputs) if self.trace else None
+            graph = trace(self._run, weights, inputs) if self.trace else None
             self._graphs[key] = graph
         graph = self._graphs[key]
         if graph is None:
-            return self._run([], inputs)
-        if key not in self._prepared:
-            self._prepared[key] = graph.prepare(self._weights())
-        return graph.run(self._prepared[key], inputs)
+            return lambda *inputs: self._run([], list(inputs))
+        return graph.bind(weights)
 
     def _weights(self) -> Tensors:
         return [*self.policy.parameters(), *self.policy.buffers()]

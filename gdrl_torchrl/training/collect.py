@@ -118,11 +118,11 @@ class NavigationCollector(Collector):
         rewards = np.empty((worlds, steps, 1), dtype=np.float32)
         outputs: list[Sequence[torch.Tensor]] = []
         observation = self._carrier.get(keys.OBSERVATION).numpy()
-        self._traced.take_up_weights()
         with set_exploration_type(self.exploration_type):
+            act = self._traced.bind([torch.from_numpy(observation)])
             for step in range(steps):
                 before.note(step, observation)
-                outputs.append(self._traced([torch.from_numpy(observation)]))
+                outputs.append(act(torch.from_numpy(observation)))
                 result = simulation.step(outputs[-1][0].numpy())
                 observation = result.observation.astype(np.float32)
                 rewards[:, step, 0] = result.reward
