@@ -16,7 +16,7 @@ Tensors = list[torch.Tensor]
 _logger = logging.getLogger(__name__)
 
 _NEW_MEMORY = (torch.ops.aten.empty.memory_format, torch.ops.aten.empty_like.default)
-_PLAIN_NAMES = {"split": "unsafe_split", "_unsafe_view": "view"}
+_PLAIN_NAMES = {"split": "unsafe_split", "_unsafe_view": "view", "_to_copy": "to"}
 """Of operators that have no quick function of their own name."""
 _RANDOM = "draws random numbers"
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
