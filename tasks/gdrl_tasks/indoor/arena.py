@@ -82,7 +82,8 @@ class Arena(abc.ABC):
             goal = self._draw_free(generator, space, self.goal_clearance_m, is_goal=True)
             if start is None or goal is None:
                 continue
-            if np.hypot(*(goal - start)) < self.goal_distance_m + tolerance_m:
+            straight = float(np.hypot(goal[0] - start[0], goal[1] - start[1]))
+            if straight < self.goal_distance_m + tolerance_m:
                 continue
             way = space.distance(start, goal, footprint_m)
             if math.isfinite(way):
@@ -91,7 +92,7 @@ class Arena(abc.ABC):
                     start=start,
                     heading_rad=self.draw_heading(generator),
                     goal=goal,
-                    shortest_path_m=max(way, float(np.hypot(*(goal - start)))),
+                    shortest_path_m=max(way, straight),
                 )
         raise RuntimeError(f"arena {self.name!r}: no layout in {_ATTEMPTS} had a way")
 

@@ -51,7 +51,7 @@ class FreeSpace:
 
     def distance(self, start: np.ndarray, goal: np.ndarray, footprint_m: float) -> float:
         """As :meth:`distances_to`, of the cell that holds a start ``[2]`` alone."""
-        row, column = map(int, self.cells(start))
+        row, column = _cell(start[1], self.y), _cell(start[0], self.x)
         x, y = goal[0] - self.x[column], goal[1] - self.y[row]
         straight = math.hypot(x, y)
         looks = sure_looks(self._spare(footprint_m), _SPARE_CELLS, _SPARE_CELLS)
@@ -108,6 +108,12 @@ class FreeSpace:
         column = np.rint((points[..., 0] - self.x[0]) / CELL_M).astype(np.int64)
         row = np.rint((points[..., 1] - self.y[0]) / CELL_M).astype(np.int64)
         return np.clip(row, 0, len(self.y) - 1), np.clip(column, 0, len(self.x) - 1)
+
+
+def _cell(place_m: float, middles_m: np.ndarray) -> int:
+    """As :meth:`FreeSpace.cells`, along one axis and of one place."""
+    cell = round((place_m - middles_m[0]) / CELL_M)
+    return min(max(cell, 0), len(middles_m) - 1)
 
 
 @functools.cache

@@ -52,8 +52,10 @@ def place(x: Any, y: Any, yaw: Any = 0.0) -> np.ndarray:
         >>> place(1.0, 2.0).tolist()
         [1.0, 2.0, 1.0, 0.0]
     """
-    x, y, yaw = np.broadcast_arrays(x, y, yaw)
-    return np.stack([x, y, np.cos(yaw), np.sin(yaw)], axis=-1)
+    places = np.empty((*np.broadcast(x, y, yaw).shape, 4))
+    places[..., 0], places[..., 1] = x, y
+    places[..., 2], places[..., 3] = np.cos(yaw), np.sin(yaw)
+    return places
 
 
 def clearance(points: Any, places: Any, is_box: Any, half_size: Any) -> Any:
