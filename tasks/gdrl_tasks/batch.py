@@ -172,24 +172,23 @@ class BatchSimulation:
         if self._memory is not None:
             self._memory.note()
         # Rows are picked only where some world is not healthy: picking copies.
-        rows = slice(None) if healthy.all() else healthy
+        all_healthy = np.count_nonzero(healthy) == len(ids)
+        rows = slice(None) if all_healthy else healthy
         self.task.set_action(self.arrays, ids[rows], action[rows])
         diverged = ~healthy
         with quiet_engine():
             diverged[rows] = self._advance(ids[rows])
-        outcome_before = self.arrays["outcome"][ids]
+        was_running = self.arrays["outcome"][ids] == _RUNNING
         qpos = self.qpos[ids]
         reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
-        if diverged.any():
-            newly = np.flatnonzero(diverged & (outcome_before == _RUNNING))
+        newly = diverged & was_running
+        if np.count_nonzero(newly):
             self._report(ids[newly], action[newly])
         terminated = outcome != _RUNNING
-        truncated = np.zeros_like(terminated)
-        if self.task.truncates_at_limit:
-            truncated = outcome == _TIMEOUT
-            terminated &= ~truncated
+        truncated = (outcome == _TIMEOUT) & self.task.truncates_at_limit
+        terminated &= ~truncated
         return StepResult(observation, reward, terminated, truncated, outcome)
 
     def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:

@@ -87,7 +87,7 @@ class TaskSpec:
         largest = max(1.0, longest)
         return -largest, largest
 
-    @property
+    @functools.cached_property
     def num_substeps(self) -> int:
         """Physics substeps in a control interval."""
         return round(self.control_interval_s / self.substep_s)
@@ -319,7 +319,7 @@ class NavigationTask(abc.ABC):
             qpos: Their generalised positions, ``[K, nq]``.
             diverged: Mask of those whose state is not to be believed, ``[K]``.
         """
-        if diverged.any():
+        if np.count_nonzero(diverged):
             qpos = np.where(diverged[:, None], 0.0, qpos)
         position, yaw = self.planar_pose(qpos)
         reward = finish(
