@@ -93,7 +93,7 @@ class TracedFunction:
         return self._after.forward(*prepared, *inputs)
 
     def bind(self, constants: Tensors) -> Callable[..., tuple[torch.Tensor, ...]]:
-        """The function of the inputs alone, one by one: the constants as they are now."""
+        """The function of the inputs alone, one by one, until the constants change."""
         # Without their histories, so that no run need keep torch from noting its own.
         prepared = [tensor.detach() for tensor in self.prepare(constants)]
         return functools.partial(self._after.forward, *prepared)
@@ -173,31 +173,27 @@ class _PlainFunctions(fx.Interpreter):
     """
 
     def run_node(self, n: fx.Node) -> Any:
-        is_random = _is_random(n)
-        before = torch.get_rng_state() if is_random else None
+        before = torch.get_rng_state()
         result = super().run_node(n)
-        schema = getattr(n.target, "_schema", None)
+        schema: Any = getattr(n.target, "_schema", None)
         # What happens to be in new memory may be equal; what is written is, once more.
         if schema is None or n.target in _NEW_MEMORY or _mutates(n):
             return result
+        after = torch.get_rng_state()
         name = schema.name.partition("::")[2]
-        after = torch.get_rng_state() if is_random else None
         args, kwargs = self.fetch_args_kwargs_from_env(n)
         for owner in (torch, torch.Tensor):
-            function = getattr(owner, _PLAIN_NAMES.get(name, name), None)
-            if before is not None:
-                torch.set_rng_state(before)
+            torch.set_rng_state(before)
             try:
-                other = function(*args, **kwargs)  # pyright: ignore[reportOptionalCall]
-            except (TypeError, RuntimeError):
+                function: Any = getattr(owner, _PLAIN_NAMES.get(name, name))
+                other = function(*args, **kwargs)
+            except (AttributeError, TypeError, RuntimeError):
                 continue
-            same_state = after is None or torch.equal(torch.get_rng_state(), after)
-            if same_state and _are_alike(other, result):
-                n.target = function  # pyright: ignore[reportAttributeAccessIssue]
-                n.meta[_RANDOM] = is_random  # the function itself does not tell
+            if torch.equal(torch.get_rng_state(), after) and _are_alike(other, result):
+                n.meta[_RANDOM] = _is_random(n)  # which the function does not tell
+                n.target = function
                 break
-        if after is not None:
-            torch.set_rng_state(after)
+        torch.set_rng_state(after)
         return result
 
 

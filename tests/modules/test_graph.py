@@ -118,6 +118,22 @@ def test_what_is_computed_twice_is_computed_once():
         assert torch.equal(one, other)
 
 
+def test_a_bound_function_has_the_constants_as_they_were_and_no_history():
+    weight = torch.nn.Parameter(torch.ones(3))
+
+    def scaled(constants, inputs):
+        return [inputs[0] * constants[0].exp()]
+
+    traced = TracedFunction(scaled, [weight], tensors((3,)))
+    (x,) = tensors((3,), seed=1)
+    bound = traced.bind([weight])
+    weight.data = torch.zeros(3)
+    [found] = bound(x)
+    assert torch.equal(found, x * torch.ones(3).exp())
+    assert not found.requires_grad
+    assert torch.equal(traced.bind([weight])(x)[0], x)
+
+
 def test_equal_draws_stay_two():
     def draws(constants, inputs):
         return [torch.rand_like(inputs[0]) - torch.rand_like(inputs[0])]
@@ -130,7 +146,9 @@ def test_draws_that_depend_on_nothing_are_new_at_every_run():
     def explore(constants, inputs):
         first, second = inputs[0].split(2, dim=-1)
         chosen = torch.rand(3) < constants[0]
-        return [torch.where(chosen, torch.randint(0, 5, (3,)), first.sum(-1) + second[:, 0])]
+        return [
+            torch.where(chosen, torch.randint(0, 5, (3,)), first.sum(-1) + second[:, 0])
+        ]
 
     constants, inputs = [torch.tensor(0.5)], tensors((3, 3), seed=1)
     traced = trace(explore, constants, inputs)

@@ -23,9 +23,7 @@ def test_seeds_are_hashes_of_stream_run_and_number(stream, seed, start, count):
 
 
 def test_seeds_of_runs_and_streams_differ():
-    drawn = [
-        episode_seeds(stream, seed, 0, 200) for stream in Stream for seed in (0, 1, 2)
-    ]
+    drawn = [episode_seeds(stream, seed, 0, 200) for stream in Stream for seed in (0, 1, 2)]
     assert len(np.unique(drawn)) == 200 * 3 * len(Stream)
 
 

@@ -174,9 +174,7 @@ def _arrive_straight(
             in_sight = along <= clear[face, slope]
             if not in_sight and along < hidden[face, slope]:
                 known = clear[face, slope] / along
-                in_sight = goal_in_sight(
-                    looks, r, c, rows_away[r], columns_away[c], known
-                )
+                in_sight = goal_in_sight(looks, r, c, rows_away[r], columns_away[c], known)
             if in_sight:
                 arrival[r + 1, c + 1] = exact
             else:
