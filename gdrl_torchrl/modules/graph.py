@@ -180,7 +180,7 @@ class _PlainFunctions(fx.Interpreter):
         if schema is None or n.target in _NEW_MEMORY or _mutates(n):
             return result
         after = torch.get_rng_state()
-        name = schema.name.partition("::")[2]
+        name = str(schema.name).partition("::")[2]
         args, kwargs = self.fetch_args_kwargs_from_env(n)
         for owner in (torch, torch.Tensor):
             torch.set_rng_state(before)
