@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -60,7 +61,7 @@ class PopulationActor:
             raise ValueError(f"{type(actor).__name__} has no parameters")
         self._params: TensorDictBase | None = None
         self._graphs: dict[Any, TracedFunction | None] = {}
-        self._prepared: dict[Any, Tensors] = {}
+        self._loaded: dict[Any, _Bound] = {}
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
 
     def load(self, genomes: TensorDictBase) -> None:
@@ -85,12 +86,12 @@ class PopulationActor:
         whole = own.data.expand(count)
         # A locked view of the module: copied structure, shared memory.
         self._params = whole.copy().unlock_().update(genomes)
-        self._prepared.clear()
+        self._loaded.clear()
 
     def unload(self) -> None:
         """Forget the members."""
         self._params = None
-        self._prepared.clear()
+        self._loaded.clear()
 
     @torch.no_grad()
     def __call__(self, rows: TensorDictBase) -> TensorDictBase:
@@ -123,68 +124,78 @@ class PopulationActor:
         return rows.set("policy_is_finite", finite)
 
     @torch.no_grad()
-    def actions(
+    def bind(
         self, inputs: TensorDictBase, *, parts: int = 1, run_all: Any = map
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Act and give the actions alone, heads traced too where that is possible.
+    ) -> Callable[[Tensors], tuple[torch.Tensor, torch.Tensor]]:
+        """The members' actions alone, heads traced too where that is possible.
 
         Args:
-            inputs: What the actor reads, ``[P, S]``.
+            inputs: What the actor may read, ``[P, S]``: any numbers will do.
             parts: Runs of members that act one after another, where there is a graph.
             run_all: As ``map``, or ``map`` of a pool of threads for them to act side by
                 side. The actions are the same.
 
         Returns:
-            Actions ``[P, S, ...]`` and the mask of rows whose network output was a
-            number ``[P, S]``.
+            A function of tensors as those of ``inputs``, in their order, ``[P, S, ...]``.
+            It gives actions ``[P, S, ...]`` and the mask of rows whose network output
+            was a number ``[P, S]``. Loading other members ends its use.
         """
-        traced = self._run_parts(inputs, parts, run_all)
-        if traced is not None:
-            action, finite = traced
-            if bool(finite.all()):
-                return action, finite
-        rows = self(inputs.clone().reshape(-1))
-        size = inputs.batch_size
-        return (
-            rows[self.action_key].unflatten(0, size),
-            rows["policy_is_finite"].unflatten(0, size),
-        )
+        run = self._run_of(inputs, parts, run_all)
+        names, size = _leaves(inputs), inputs.batch_size
+
+        def act(values: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
+            if run is not None:
+                action, finite = run(*values)
+                if bool(finite.all()):
+                    return action, finite
+            rows = self(_nested(names, values, size).reshape(-1))
+            return (
+                rows[self.action_key].unflatten(0, size),
+                rows["policy_is_finite"].unflatten(0, size),
+            )
+
+        return act
 
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
-        run = self._graph_of(inputs)
-        if run is None:
+        bound = self._bound(inputs)
+        if bound is None:
             assert self._params is not None
             return _leaves(self._vmapped(self._params, inputs))
-        return dict(zip(self._prefix.out_keys, run.outputs(), strict=True))
+        outputs = bound.run(*_leaves(inputs).values())
+        return dict(zip(self._prefix.out_keys, outputs, strict=True))
 
-    def _run_parts(
-        self, inputs: TensorDictBase, parts: int, run_all: Any
-    ) -> tuple[torch.Tensor, ...] | None:
-        """Actions and whether they are numbers, or None if there is no graph."""
-        if parts == 1:
-            run = self._graph_of(inputs, whole=True)
-            return None if run is None else run.outputs()
-        begin, runs = 0, []
-        for part in inputs.split(-(-len(inputs) // parts)):
-            members = slice(begin, begin + len(part))
-            runs.append(self._graph_of(part, members, whole=True))
-            begin = members.stop
-        if None in runs:
-            return None
+    def _run_of(self, inputs: TensorDictBase, parts: int, run_all: Any) -> Any:
+        """A function that gives actions and whether they are numbers, or None."""
+        length = -(-len(inputs) // parts)
+        begins = range(0, len(inputs), length)
+        bound: list[_Bound] = []
+        for begin, part in zip(begins, inputs.split(length), strict=True):
+            one = self._bound(part, slice(begin, begin + length), whole=True)
+            if one is None:
+                return None
+            bound.append(one)
+        runs = [each.run for each in bound]
+        if len(runs) == 1:
+            return runs[0]
         # What one draws or writes, another may not be in the middle of.
-        if not all(run.graph.is_pure for run in runs):
+        if not all(each.is_pure for each in bound):
             run_all = map
-        outputs = run_all(_Run.outputs, runs)
-        return tuple(torch.cat(each) for each in zip(*outputs, strict=True))
 
-    def _graph_of(
+        def run_parts(*values: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            split = zip(*(value.split(length) for value in values), strict=True)
+            outputs = run_all(lambda run, part: run(*part), runs, split)
+            return tuple(torch.cat(each) for each in zip(*outputs, strict=True))
+
+        return run_parts
+
+    def _bound(
         self,
         inputs: TensorDictBase,
         members: slice = slice(None),
         *,
         whole: bool = False,
-    ) -> _Run | None:
+    ) -> _Bound | None:
         """The graph for inputs ``[P, S]`` of some members; None if there is none."""
         if not self.trace:
             return None
@@ -202,12 +213,12 @@ class PopulationActor:
         graph = self._graphs[key]
         if graph is None:
             return None
-        prepared = (*key, members.start)
-        if prepared not in self._prepared:
+        loaded = (*key, members.start)
+        if loaded not in self._loaded:
             assert self._params is not None
             leaves = _leaves(self._params[members]).values()
-            self._prepared[prepared] = graph.prepare(list(leaves))
-        return _Run(graph, self._prepared[prepared], list(values.values()))
+            self._loaded[loaded] = _Bound(graph.bind(list(leaves)), graph.is_pure)
+        return self._loaded[loaded]
 
     def _run_prefix(
         self, params: TensorDictBase, inputs: TensorDictBase
@@ -254,15 +265,11 @@ class PopulationActor:
             return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
 
 
-class _Run(NamedTuple):
-    """A graph and what it is to run with."""
+class _Bound(NamedTuple):
+    """A graph with the weights of some members."""
 
-    graph: TracedFunction
-    prepared: Tensors
-    inputs: Tensors
-
-    def outputs(self) -> tuple[torch.Tensor, ...]:
-        return self.graph.run(self.prepared, self.inputs)
+    run: Callable[..., tuple[torch.Tensor, ...]]
+    is_pure: bool
 
 
 def _leaves(values: TensorDictBase) -> dict[Any, torch.Tensor]:
@@ -270,7 +277,7 @@ def _leaves(values: TensorDictBase) -> dict[Any, torch.Tensor]:
 
 
 def _nested(
-    names: dict[Any, torch.Tensor], values: list[torch.Tensor], batch_size: torch.Size
+    names: Iterable[Any], values: Tensors, batch_size: torch.Size
 ) -> TensorDictBase:
     whole = TensorDict(batch_size=batch_size)
     for name, value in zip(names, values, strict=True):

@@ -79,6 +79,7 @@ class SimulationRollout:
         self.shapes = block_shapes(members, trials, weights)
         self.shape = self.shapes[0]
         self.run_all: Any = map
+        self.act: Any = None
 
     def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
         """Fill the scores ``[p, s]``; append transitions to ``log``."""
@@ -135,10 +136,12 @@ class SimulationRollout:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Actions and whether they are numbers, of the worlds in the slots, ``[R]``."""
         chosen = torch.from_numpy(observation[slots])
-        inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
-        action, finite = self.population.actions(
-            inputs, parts=self.shape.parts, run_all=self.run_all
-        )
+        if self.act is None:
+            inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
+            self.act = self.population.bind(
+                inputs, parts=self.shape.parts, run_all=self.run_all
+            )
+        action, finite = self.act([chosen])
         return action.flatten(0, 1).numpy(), finite.flatten().numpy()
 
     def _blocks(
@@ -152,6 +155,7 @@ class SimulationRollout:
         self.shape = shape
         slots, owners = fill_blocks(live, trials, shape)
         self.population.load(self.params[torch.from_numpy(owners)])
+        self.act = None
         return slots
 
     def _empty_finals(self, count: int) -> dict[str, np.ndarray]:

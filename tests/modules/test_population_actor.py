@@ -204,6 +204,13 @@ def test_what_does_not_evolve_is_read_anew_at_every_load(actor_of, population_of
                 parameter.mul_(1.5)
 
 
+def actions(population, inputs, **options):
+    """What the members do, and whether their outputs are numbers."""
+    # Bound to other numbers than it is called with.
+    act = population.bind(inputs.apply(torch.rand_like), **options)
+    return act([inputs["observation"]])
+
+
 @pytest.mark.parametrize("parts", [2, 3, 5])
 def test_parts_on_threads_act_as_the_whole_does(parts, actor_kind, actor_of, population_of):
     actor = actor_of(actor_kind)
@@ -212,9 +219,9 @@ def test_parts_on_threads_act_as_the_whole_does(parts, actor_kind, actor_of, pop
     with ThreadPoolExecutor(2) as pool:
         for scale in (1.0, 2.0):
             population.load(population_of(actor, 5) * scale)
-            action, finite = population.actions(inputs)
+            action, finite = actions(population, inputs)
             for run_all in (map, pool.map):
-                same = population.actions(inputs, parts=parts, run_all=run_all)
+                same = actions(population, inputs, parts=parts, run_all=run_all)
                 assert torch.equal(same[0], action)
                 assert torch.equal(same[1], finite)
     # TorchRL's head of distributions cannot be traced: the whole acts then.
@@ -229,7 +236,7 @@ def test_parts_mark_a_member_that_is_not_finite(actor_kind, actor_of, population
     population = PopulationActor(actor)
     population.load(genomes)
     inputs = rows(4 * EPISODES).reshape(4, EPISODES)
-    _, finite = population.actions(inputs, parts=2)
+    _, finite = actions(population, inputs, parts=2)
     assert finite.all(dim=1).tolist() == [True, True, False, True]
 
 
@@ -258,10 +265,10 @@ def test_a_random_policy_stays_random():
 
     def draw(run_all):
         torch.manual_seed(0)
-        return population.actions(inputs, parts=2, run_all=run_all)[0]
+        return actions(population, inputs, parts=2, run_all=run_all)[0]
 
-    def backwards(function, runs):
-        return [function(run) for run in reversed(runs)][::-1]
+    def backwards(function, *each):
+        return [function(*one) for one in reversed([*zip(*each, strict=True)])][::-1]
 
     assert torch.equal(draw(map), draw(backwards)), "in order, whoever runs them"
     assert (draw(map)[0] != draw(map)[1]).all()

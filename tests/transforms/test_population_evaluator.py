@@ -776,19 +776,19 @@ def test_any_number_of_threads_gives_the_same_scores_bit_by_bit(
 def test_torch_has_the_threads_that_it_had(actor_of, population_of, evaluator_for):
     evaluator = evaluator_for(actor_of("tanh_normal"), 6, num_episodes=3)
     population = population_of(actor_of("tanh_normal"), 2)
-    seen, act = [], evaluator.population.actions
+    seen, bind = [], evaluator.population.bind
 
     def noting(*args, **kwargs):
         seen.append(torch.get_num_threads())
-        return act(*args, **kwargs)
+        return bind(*args, **kwargs)
 
-    evaluator.population.actions = noting
+    evaluator.population.bind = noting
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(3)
         evaluator.evaluate(population)
         assert torch.get_num_threads() == 3
-        evaluator.population.actions = None
+        evaluator.population.bind = None
         with pytest.raises(TypeError):
             evaluator.evaluate(population)
         assert torch.get_num_threads() == 3
