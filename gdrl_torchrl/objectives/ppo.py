@@ -45,8 +45,12 @@ def make_ppo_loss(
         normalize_advantage=config.normalize_advantage,
     )
     # Observations after a reset are not the ones that followed: shifted=False values
-    # both sides of every step.
+    # both sides of every step, here in two calls, which are faster than one over both.
     advantage = GAE(
-        gamma=config.gamma, lmbda=config.lmbda, value_network=critic, shifted=False
+        gamma=config.gamma,
+        lmbda=config.lmbda,
+        value_network=critic,
+        shifted=False,
+        deactivate_vmap=True,
     )
     return loss, advantage
