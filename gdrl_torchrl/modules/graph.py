@@ -217,10 +217,10 @@ def _are_equal(one: torch.Tensor, other: torch.Tensor) -> bool:
 
 def _are_alike(one: Any, other: Any) -> bool:
     """Whether results, tensors or lists of them, are equal and laid out alike."""
-    if not isinstance(one, torch.Tensor):
-        pairs = zip(one, other, strict=True)
-        return len(one) == len(other) and all(_are_alike(*pair) for pair in pairs)
-    return _layout(one) == _layout(other) and _are_equal(one, other)
+    if isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor):
+        return _layout(one) == _layout(other) and _are_equal(one, other)
+    both = isinstance(one, list | tuple) and isinstance(other, list | tuple)
+    return both and len(one) == len(other) and all(map(_are_alike, one, other))
 
 
 def _is_random(node: fx.Node) -> bool:
