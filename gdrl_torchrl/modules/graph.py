@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import logging
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch import fx
-from torch.fx.experimental.proxy_tensor import make_fx
-from torch.fx.node import map_arg
+from torch.fx.node import map_aggregate, map_arg
+from torch.utils._python_dispatch import TorchDispatchMode
 
 Tensors = list[torch.Tensor]
 _logger = logging.getLogger(__name__)
@@ -56,13 +57,10 @@ class TracedFunction:
         constants: Tensors,
         inputs: Tensors,
     ) -> None:
-        count = len(constants)
-
-        def flat(*tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            return tuple(function(list(tensors[:count]), list(tensors[count:])))
-
-        tensors = (*constants, *inputs)
-        whole = make_fx(flat)(*tensors)
+        tensors = [*constants, *inputs]
+        with _Recorder(tensors) as recorder:
+            outputs = function(constants, inputs)
+        whole = recorder.whole(outputs)
         whole.graph.eliminate_dead_code()
         # What comes after it knows nothing of gradients: a function that wants some has
         # computed them, and the graph has the operations of that.
@@ -75,7 +73,7 @@ class TracedFunction:
         nodes = list(whole.graph.nodes)
         self.is_pure = not any(_is_random(node) or _writes(node) for node in nodes)
         """Whether it neither draws numbers nor writes into what others may read."""
-        self._before, self._after = _split(whole, count)
+        self._before, self._after = _split(whole, len(constants))
         self.num_operations = sum(
             node.op == "call_function" and "getitem" not in str(node.target)
             for node in self._after.graph.nodes
@@ -141,6 +139,72 @@ def trace(
         return graph
     _logger.debug("%s is not traced: its graph gives other numbers", function)
     return None
+
+
+class _Recorder(TorchDispatchMode):
+    """Notes the operations on tensors that torch runs while it is entered.
+
+    ``make_fx`` of torch does the same and also reckons what each operation would give
+    for tensors without numbers, which takes most of its time and is not needed here.
+    """
+
+    def __init__(self, tensors: Tensors) -> None:
+        super().__init__()
+        self._graph = fx.Graph()
+        self._constants: dict[str, torch.Tensor] = {}
+        # Tensors are told apart by identity, so each is kept.
+        self._noted: dict[int, tuple[torch.Tensor, fx.Node]] = {}
+        self._fixed: set[fx.Node] = set()
+        for i, tensor in enumerate(tensors):
+            self._note(tensor, self._graph.placeholder(f"tensor_{i}"))
+
+    def whole(self, outputs: Sequence[torch.Tensor]) -> fx.GraphModule:
+        """The function of the tensors that was run."""
+        self._graph.output(self._nodes(tuple(outputs)))
+        return fx.GraphModule(self._constants, self._graph)
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        result = func(*args, **(kwargs or {}))
+        node = self._graph.call_function(
+            func, self._nodes(args), self._nodes(kwargs or {})
+        )
+        if _mutates(node):
+            self._fixed.clear()  # it may have written into any of them
+        elif self._fixed.issuperset(node.all_input_nodes) and not _is_random(node):
+            self._fixed.add(node)
+        elif torch.Tag.data_dependent_output in func.tags:
+            raise ValueError(f"{func} looks at numbers")
+        if func is torch.ops.aten.detach.default:
+            # A graph knows nothing of gradients.
+            self._noted[id(result)] = result, node.all_input_nodes[0]
+        else:
+            self._note(result, node)
+        return result
+
+    def _nodes(self, values: Any) -> Any:
+        return map_aggregate(
+            values, lambda x: self._node(x) if isinstance(x, torch.Tensor) else x
+        )
+
+    def _node(self, tensor: torch.Tensor) -> fx.Node:
+        if id(tensor) not in self._noted:
+            name = f"constant_{len(self._constants)}"
+            self._constants[name] = tensor
+            self._note(tensor, self._graph.create_node("get_attr", name))
+            self._fixed.add(self._noted[id(tensor)][1])
+        return self._noted[id(tensor)][1]
+
+    def _note(self, result: Any, node: fx.Node) -> None:
+        if isinstance(result, torch.Tensor):
+            self._noted[id(result)] = result, node
+        elif isinstance(result, list | tuple):
+            for i, each in enumerate(result):
+                one = self._graph.call_function(operator.getitem, (node, i))
+                if node in self._fixed:
+                    self._fixed.add(one)
+                self._note(each, one)
 
 
 class _Identities(fx.Interpreter):
