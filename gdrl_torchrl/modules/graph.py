@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import functools
 import logging
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch import fx
-from torch.fx.node import map_aggregate, map_arg
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.fx.node import map_arg
 
-Tensors = list[torch.Tensor]
+from gdrl_torchrl.modules.recorder import IS_RANDOM, Recorder, Tensors, is_random, mutates
+
 _logger = logging.getLogger(__name__)
 
 _NEW_MEMORY = (torch.ops.aten.empty.memory_format, torch.ops.aten.empty_like.default)
 _PLAIN_NAMES = {"split": "unsafe_split", "_unsafe_view": "view", "_to_copy": "to"}
 """Of operators that have no quick function of their own name."""
-_RANDOM = "draws random numbers"
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
 
 
@@ -58,7 +56,7 @@ class TracedFunction:
         inputs: Tensors,
     ) -> None:
         tensors = [*constants, *inputs]
-        with _Recorder(tensors) as recorder:
+        with Recorder(tensors) as recorder:
             outputs = function(constants, inputs)
         whole = recorder.whole(outputs)
         whole.graph.eliminate_dead_code()
@@ -71,7 +69,7 @@ class TracedFunction:
                 _PlainFunctions(whole).run(*tensors)
         whole.graph.eliminate_dead_code()
         nodes = list(whole.graph.nodes)
-        self.is_pure = not any(_is_random(node) or _writes(node) for node in nodes)
+        self.is_pure = not any(is_random(node) or _writes(node) for node in nodes)
         """Whether it neither draws numbers nor writes into what others may read."""
         self._before, self._after = _split(whole, len(constants))
         self.num_operations = sum(
@@ -141,72 +139,6 @@ def trace(
     return None
 
 
-class _Recorder(TorchDispatchMode):
-    """Notes the operations on tensors that torch runs while it is entered.
-
-    ``make_fx`` of torch does the same and also reckons what each operation would give
-    for tensors without numbers, which takes most of its time and is not needed here.
-    """
-
-    def __init__(self, tensors: Tensors) -> None:
-        super().__init__()
-        self._graph = fx.Graph()
-        self._constants: dict[str, torch.Tensor] = {}
-        # Tensors are told apart by identity, so each is kept.
-        self._noted: dict[int, tuple[torch.Tensor, fx.Node]] = {}
-        self._fixed: set[fx.Node] = set()
-        for i, tensor in enumerate(tensors):
-            self._note(tensor, self._graph.placeholder(f"tensor_{i}"))
-
-    def whole(self, outputs: Sequence[torch.Tensor]) -> fx.GraphModule:
-        """The function of the tensors that was run."""
-        self._graph.output(self._nodes(tuple(outputs)))
-        return fx.GraphModule(self._constants, self._graph)
-
-    def __torch_dispatch__(
-        self, func: Any, types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
-        result = func(*args, **(kwargs or {}))
-        node = self._graph.call_function(
-            func, self._nodes(args), self._nodes(kwargs or {})
-        )
-        if _mutates(node):
-            self._fixed.clear()  # it may have written into any of them
-        elif self._fixed.issuperset(node.all_input_nodes) and not _is_random(node):
-            self._fixed.add(node)
-        elif torch.Tag.data_dependent_output in func.tags:
-            raise ValueError(f"{func} looks at numbers")
-        if func is torch.ops.aten.detach.default:
-            # A graph knows nothing of gradients.
-            self._noted[id(result)] = result, node.all_input_nodes[0]
-        else:
-            self._note(result, node)
-        return result
-
-    def _nodes(self, values: Any) -> Any:
-        return map_aggregate(
-            values, lambda x: self._node(x) if isinstance(x, torch.Tensor) else x
-        )
-
-    def _node(self, tensor: torch.Tensor) -> fx.Node:
-        if id(tensor) not in self._noted:
-            name = f"constant_{len(self._constants)}"
-            self._constants[name] = tensor
-            self._note(tensor, self._graph.create_node("get_attr", name))
-            self._fixed.add(self._noted[id(tensor)][1])
-        return self._noted[id(tensor)][1]
-
-    def _note(self, result: Any, node: fx.Node) -> None:
-        if isinstance(result, torch.Tensor):
-            self._noted[id(result)] = result, node
-        elif isinstance(result, list | tuple):
-            for i, each in enumerate(result):
-                one = self._graph.call_function(operator.getitem, (node, i))
-                if node in self._fixed:
-                    self._fixed.add(one)
-                self._note(each, one)
-
-
 class _Identities(fx.Interpreter):
     """Replaces what gives a tensor that there is already by the one that gave it."""
 
@@ -217,7 +149,7 @@ class _Identities(fx.Interpreter):
 
     def run_node(self, n: fx.Node) -> Any:
         result = super().run_node(n)
-        if not isinstance(result, torch.Tensor) or _mutates(n):
+        if not isinstance(result, torch.Tensor) or mutates(n):
             return result
         first = self._first.setdefault(_place(result), n)
         if n.target in _PRODUCTS and not isinstance(n.args[1], fx.Node):
@@ -241,7 +173,7 @@ class _PlainFunctions(fx.Interpreter):
         result = super().run_node(n)
         schema: Any = getattr(n.target, "_schema", None)
         # What happens to be in new memory may be equal; what is written is, once more.
-        if schema is None or n.target in _NEW_MEMORY or _mutates(n):
+        if schema is None or n.target in _NEW_MEMORY or mutates(n):
             return result
         after = torch.get_rng_state()
         name = str(schema.name).partition("::")[2]
@@ -254,7 +186,7 @@ class _PlainFunctions(fx.Interpreter):
             except (AttributeError, TypeError, RuntimeError):
                 continue
             if torch.equal(torch.get_rng_state(), after) and _are_alike(other, result):
-                n.meta[_RANDOM] = _is_random(n)  # which the function does not tell
+                n.meta[IS_RANDOM] = is_random(n)  # which the function does not tell
                 n.target = function
                 break
         torch.set_rng_state(after)
@@ -265,9 +197,9 @@ def _merge_equal_nodes(graph: fx.Graph) -> None:
     """Compute what is computed twice from the same tensors only once."""
     known: dict[Any, fx.Node] = {}
     for node in list(graph.nodes):
-        if node.op != "call_function" or _is_random(node) or _mutates(node):
+        if node.op != "call_function" or is_random(node) or mutates(node):
             continue
-        if any(_mutates(user) for user in node.users):
+        if any(mutates(user) for user in node.users):
             continue
         first = known.setdefault(repr((node.target, node.args, node.kwargs)), node)
         if first is not node:
@@ -287,11 +219,6 @@ def _are_alike(one: Any, other: Any) -> bool:
     return both and len(one) == len(other) and all(map(_are_alike, one, other))
 
 
-def _is_random(node: fx.Node) -> bool:
-    tags = getattr(node.target, "tags", ())
-    return node.meta.get(_RANDOM, torch.Tag.nondeterministic_seeded in tags)
-
-
 def _layout(tensor: torch.Tensor) -> tuple[Any, ...]:
     flags = tensor.is_conj(), tensor.is_neg()
     return tensor.dtype, tensor.shape, tensor.stride(), flags
@@ -302,14 +229,9 @@ def _place(tensor: torch.Tensor) -> tuple[Any, ...]:
     return memory, tensor.data_ptr(), *_layout(tensor)
 
 
-def _mutates(node: fx.Node) -> bool:
-    schema = getattr(node.target, "_schema", None)
-    return schema is not None and schema.is_mutable
-
-
 def _writes(node: fx.Node) -> bool:
     """Whether a node writes into what others may read, and not only fills new memory."""
-    if not _mutates(node):
+    if not mutates(node):
         return False
     place = node.args[0]
     is_new = isinstance(place, fx.Node) and place.target in _NEW_MEMORY
@@ -325,8 +247,8 @@ def _split(whole: fx.GraphModule, count: int) -> tuple[fx.GraphModule, fx.GraphM
     # What one run writes into must not be there at the next.
     all_vary = any(_writes(node) for node in nodes)
     for node in nodes:
-        varies = _is_random(node) or varying.intersection(node.all_input_nodes)
-        varies = varies or any(_mutates(user) for user in node.users)
+        varies = is_random(node) or varying.intersection(node.all_input_nodes)
+        varies = varies or any(mutates(user) for user in node.users)
         if varies or (all_vary and node.op == "call_function"):
             varying.add(node)
     early: dict[fx.Node, fx.Node] = {}

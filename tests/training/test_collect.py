@@ -1,5 +1,6 @@
 """The fast collector gives the batches that TorchRL's gives."""
 
+import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -31,6 +32,13 @@ class Drifting(nn.Module):
         return torch.full((len(observation), self.size), (self.calls % 7 - 3) / 3)
 
 
+class Steering(nn.Module):
+    """A policy in NumPy, which tracing must not take for a constant."""
+
+    def forward(self, observation):
+        return torch.from_numpy(np.tanh(observation.numpy()[:, :2]))
+
+
 def task_of(name):
     # So short that episodes end in every batch.
     return make_task(name, step_limit=5)
@@ -60,11 +68,16 @@ def drifting(task):
     return TensorDictModule(network, ["observation"], ["action"])
 
 
+def steering(task):
+    return TensorDictModule(Steering(), ["observation"], ["action"])
+
+
 CASES = {
     "greedy": ("indoor", greedy, []),
     "noisy": ("indoor", lambda task: greedy(task, noisy=True), []),
     "epsilon_greedy": ("indoor", epsilon_greedy, ["action_value"]),
     "normal": ("water", normal, ["action_log_prob", "loc"]),
+    "in NumPy": ("water", steering, []),
     "in Python": ("water", drifting, []),
 }
 
