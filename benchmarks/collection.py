@@ -28,6 +28,7 @@ from mujoco.batch import Batch
 from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.config.algorithms import RainbowConfig
 from gdrl_torchrl.training.agent import Agent
 from gdrl_torchrl.training.build import algorithm_of, make_task_of
 from gdrl_torchrl.training.checkpoint import seed_everything
@@ -61,6 +62,9 @@ def make_agent(name: str, worlds: int, threads: int) -> tuple[Agent, NavigationT
     algorithm = config.algorithm
     frames = algorithm.frames_per_batch // algorithm.num_worlds * worlds
     changed = dataclasses.replace(algorithm, num_worlds=worlds, frames_per_batch=frames)
+    if isinstance(changed, RainbowConfig):
+        # What a batch costs, not what is left of it beside updates.
+        changed = dataclasses.replace(changed, collect_ahead=False)
     config = dataclasses.replace(config, algorithm=changed)
     seed_everything(config.seed)
     task = make_task_of(config)

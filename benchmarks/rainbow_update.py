@@ -58,7 +58,9 @@ def make_learner(exploration: str) -> tuple[ExperimentConfig, RainbowLearner]:
     """What a run's trainer calls, with the experiments' network and a paper's minibatch."""
     config = ExperimentConfig(
         task=task_config_class("indoor")(),
-        algorithm=RainbowConfig(minibatch_size=64, exploration=exploration),
+        algorithm=RainbowConfig(
+            minibatch_size=64, exploration=exploration, collect_ahead=False
+        ),
         network=NetworkConfig(actor_cells=[WIDTH, WIDTH], activation="relu"),
     )
     agent: Any = make_rainbow_agent(config, make_task("indoor"))

@@ -51,7 +51,8 @@ def training(request):
             "algorithm.frames_per_batch=256",
             "algorithm.minibatch_size=64",
         ]
-        + ["algorithm.warmup_steps=64"] * (request.param == "indoor")
+        + ["algorithm.warmup_steps=64", "algorithm.collect_ahead=false"]
+        * (request.param == "indoor")
     )
     seed_everything(0)
     made = build_training(config)

@@ -61,6 +61,7 @@ def _run_job(config: DictConfig) -> float:
         run_experiment,
     )
     from gdrl_torchrl.training.run_directory import RunDirectoryError
+    from gdrl_torchrl.training.worker import WorkerDiedError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
     # level of its own.
@@ -72,7 +73,7 @@ def _run_job(config: DictConfig) -> float:
         # Not an error of this job: it ends a sweep too.
         print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
-    except (RunDirectoryError, TrainingDivergedError) as error:
+    except (RunDirectoryError, TrainingDivergedError, WorkerDiedError) as error:
         raise ValueError(str(error)) from error
     print(path)
     return float(read_evaluation(path)["success_rate"])

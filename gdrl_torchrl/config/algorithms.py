@@ -53,6 +53,8 @@ class RainbowConfig:
     name: str = among("rainbow", ("rainbow",))
     num_worlds: int = within(16, least=1, most=MOST_WORLDS)
     frames_per_batch: int = within(256, least=1, most=1_000_000)
+    collect_ahead: bool = True
+    """Whether a process of its own collects the next batch during the updates."""
     updates_per_batch: int = within(8, least=1, most=10_000)
     minibatch_size: int = within(256, least=2, most=1_000_000)
     """TorchRL's sampler gives the weight of a single transition no dimension."""

@@ -15,6 +15,7 @@ from gdrl_torchrl.envs.make import OnDivergence
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.plugins import with_plugins
 from gdrl_torchrl.training.agent import Agent, Algorithm, check_fit
+from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.evolve import make_population_hook
 from gdrl_torchrl.training.genetic_algorithm import make_ga_actor, make_ga_agent
 from gdrl_torchrl.training.population_hook import PopulationHook
@@ -46,7 +47,9 @@ class Training:
     def close(self) -> None:
         """Close the environments."""
         self.genetic.evaluator.close()
-        env = self.agent.env
+        env, collector = self.agent.env, self.agent.collector
+        if isinstance(collector, AheadCollector):
+            collector.shutdown()
         if env is not None and not env.is_closed:
             env.close()
 
@@ -72,6 +75,8 @@ def build_training(
     agent = algorithm.make_agent(config, task)
     if on_divergence is not None and isinstance(agent.env, NavigationEnv):
         agent.env.simulation.watch(on_divergence)
+    if on_divergence is not None and isinstance(agent.collector, AheadCollector):
+        agent.collector.watch(on_divergence)
     genetic = make_population_hook(
         config, task, agent, algorithm.make_actor, on_divergence=on_divergence
     )

@@ -17,6 +17,7 @@ from torchrl.checkpoint import (
     CheckpointError,
     CheckpointRotation,
 )
+from torchrl.collectors import Collector
 
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.training.build import Training
@@ -73,7 +74,7 @@ class TrainingState:
         if state_dict["env"] is not None:
             assert isinstance(agent.env, NavigationEnv)
             agent.env.set_state(state_dict["env"])
-        if agent.collector is not None:
+        if isinstance(agent.collector, Collector):
             # The environment goes on from its state; the collector reads where that is.
             agent.collector.reset()
         # Last: whatever came before must not have drawn from it.

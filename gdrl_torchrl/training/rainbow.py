@@ -8,7 +8,8 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.collectors import Collector
 from torchrl.data import Categorical, TensorDictReplayBuffer
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
 from torchrl.trainers import Trainer
@@ -42,7 +43,11 @@ from gdrl_torchrl.training.agent import (
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector
+from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.update import Update
+
+_OTHER_DRAWS = 1 << 41
+"""Added to a run's seed for what acts ahead, beside what learns."""
 
 
 def make_rainbow_actor(
@@ -192,7 +197,6 @@ class RainbowLearner(OptimizationStepper):
 def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
     """Build the agent, its environment and its trainer."""
     algorithm: RainbowConfig = config.algorithm
-    env = make_training_env(config, task)
     actor = make_rainbow_actor(task, config)
     loss = RainbowLoss(actor, gamma=algorithm.gamma)
     optimizer = torch.optim.Adam(
@@ -213,11 +217,9 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
             eps_init=algorithm.epsilon_start,
             eps_end=algorithm.epsilon_end,
         )
-        parts: list[Any] = [actor, exploration]
-        policy = TensorDictSequential(*parts)
-    collector = make_collector(
-        env, policy, frames_per_batch=algorithm.frames_per_batch, policy_keys=[]
-    )
+        modules: list[Any] = [actor, exploration]
+        policy = TensorDictSequential(*modules)
+    collector: Any = _make_collector(config, task, policy)
     learner = RainbowLearner(
         loss,
         optimizer,
@@ -241,15 +243,38 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
             auto_log_optim_steps=False,
             progress_bar=False,
         )
+    parts: dict[str, Any] = {"learner": learner}
+    if algorithm.collect_ahead:
+        parts["collector"] = collector
     return Agent(
         actor,
         trainer,
-        env=env,
+        env=None if algorithm.collect_ahead else collector.env,
         loss=loss,
         optimizer=optimizer,
         collector=collector,
-        parts={"learner": learner},
+        parts=parts,
         updates=[learner.update],
         follow_switch=functools.partial(soft_update_target, loss),
         share_experience=learner.share,
     )
+
+
+def _make_collector(
+    config: ExperimentConfig, task: NavigationTask, policy: TensorDictModuleBase
+) -> Collector | AheadCollector:
+    algorithm: RainbowConfig = config.algorithm
+
+    def make() -> Collector:
+        return make_collector(
+            make_training_env(config, task),
+            policy,
+            frames_per_batch=algorithm.frames_per_batch,
+            policy_keys=[],
+        )
+
+    if not algorithm.collect_ahead:
+        return make()
+    # Both sides will need the compiled functions, which take a moment to load.
+    task.draw_episode(config.seed)
+    return AheadCollector(make, policy, seed=config.seed + _OTHER_DRAWS)

@@ -46,6 +46,7 @@ from gdrl_torchrl.training.video import (
     save_trajectories,
     write_video,
 )
+from gdrl_torchrl.training.worker import WorkerDiedError
 
 _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
@@ -106,6 +107,7 @@ def run_experiment(config: ExperimentConfig) -> Path:
         RunDirectoryError: If the directory cannot be used, or the disk is full.
         InterruptedRunError: If a signal stopped training.
         TrainingDivergedError: If something in an update was not finite.
+        WorkerDiedError: If a process that collects was killed.
     """
     # What is wrong is said before anything is written.
     make_task_of(config)
@@ -166,6 +168,10 @@ def _run(directory: RunDirectory, config: ExperimentConfig) -> dict[str, Any]:
     except NonFiniteUpdateError as error:
         batch = faults.note_update(error)
         raise TrainingDivergedError(error, directory, batch) from error
+    except WorkerDiedError as error:
+        raise WorkerDiedError(
+            f"{directory.path}: {error}. The same command goes on from the last checkpoint"
+        ) from error
     finally:
         training.close()
     return costs

@@ -70,7 +70,9 @@ def test_epsilon_decays_with_completed_episodes(training_of):
 
 
 def test_collected_actions_explore_and_greedy_ones_do_not(training_of):
-    training = training_of("algorithm.frames_per_batch=400")
+    training = training_of(
+        "algorithm.frames_per_batch=400", "algorithm.collect_ahead=false"
+    )
     batch = collected(training, 1)[0]
     assert len(batch["action"].unique()) == 5
     greedy = training.agent.actor(batch.select("observation").clone())["action"]
