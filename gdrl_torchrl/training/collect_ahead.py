@@ -175,7 +175,7 @@ class _Worlds:
         with self._own_draws():
             # The environment goes on from its state; the collector reads where that is.
             self._collector.reset()
-        self._generator = torch.from_numpy(state["generator"])
+            torch.set_rng_state(torch.from_numpy(state["generator"]))
 
     def close(self) -> None:
         """Close the environment."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import warnings
 from typing import Any
 
@@ -277,4 +278,10 @@ def _make_collector(
         return make()
     # Both sides will need the compiled functions, which take a moment to load.
     task.draw_episode(config.seed)
-    return AheadCollector(make, policy, seed=config.seed + _OTHER_DRAWS)
+    return AheadCollector(
+        make,
+        policy,
+        seed=config.seed + _OTHER_DRAWS,
+        # On one processor the two sides would only take turns.
+        in_process=len(os.sched_getaffinity(0)) > 1,
+    )

@@ -2,6 +2,7 @@
 
 import itertools
 import multiprocessing
+import os
 from typing import Any
 
 import pytest
@@ -20,7 +21,7 @@ from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.run import run_experiment
 from gdrl_torchrl.training.run_directory import MetricsTable
 from gdrl_torchrl.training.state_file import read_state, write_state
-from gdrl_torchrl.training.worker import LocalWorker, WorkerDiedError
+from gdrl_torchrl.training.worker import WorkerDiedError
 
 WORLDS, STEPS = 3, 8
 TASK = make_task("indoor", step_limit=5)
@@ -210,15 +211,18 @@ def test_a_run_is_the_same_without_a_process(
         path = run_experiment(tiny_rainbow("algorithm.collect_ahead=true", f"name={name}"))
         return rows_of(path), evaluation_of(path)["params_sha256"]
 
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process_id: {0, 1})
     with_process = outcome("with")
     assert outcome("again") == with_process
-    monkeypatch.setattr(collect_ahead, "ForkedWorker", LocalWorker)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process_id: {0})
+    monkeypatch.setattr(collect_ahead, "ForkedWorker", None)
     assert outcome("without") == with_process
 
 
 def test_a_run_whose_process_is_killed_says_so_and_goes_on(
     tiny_rainbow, rows_of, evaluation_of, monkeypatch
 ):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process_id: {0, 1})
     whole = run_experiment(tiny_rainbow("name=whole", "budget.agent_steps=400"))
     append, rows = MetricsTable.append, 0
 
