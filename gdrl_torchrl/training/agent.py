@@ -18,6 +18,7 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import make_env
+from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.update import Update
 
 MakeActor = Callable[[NavigationTask, ExperimentConfig], TensorDictModuleBase]
@@ -71,7 +72,7 @@ class Agent:
     """What the collector steps, if there is one."""
     loss: LossModule | None = None
     optimizer: torch.optim.Optimizer | None = None
-    collector: Collector | None = None
+    collector: Collector | AheadCollector | None = None
     parts: Mapping[str, HasState] = dataclasses.field(default_factory=dict)
     """Further state of the algorithm, by name."""
     updates: Sequence[Update] = ()
