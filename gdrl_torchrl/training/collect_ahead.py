@@ -183,13 +183,10 @@ class _Worlds:
 
     @contextlib.contextmanager
     def _own_draws(self) -> Iterator[None]:
-        others = torch.get_rng_state()
-        torch.set_rng_state(self._generator)
-        try:
+        with torch.random.fork_rng(devices=[]):
+            torch.set_rng_state(self._generator)
             yield
-        finally:
             self._generator = torch.get_rng_state()
-            torch.set_rng_state(others)
 
 
 def _weights(policy: TensorDictModuleBase) -> list[torch.Tensor]:
