@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
@@ -63,6 +63,44 @@ def concatenate(populations: Iterable[TensorDictBase]) -> TensorDictBase:
     return joined
 
 
+def fitting_leaves(
+    genomes: TensorDictBase, parameters: Mapping[str, torch.Tensor], owner: str
+) -> dict[str, torch.Tensor]:
+    """Leaves of genomes by the names of a module's parameters, if they are like these.
+
+    Args:
+        genomes: Values by nested name, batch size ``[]`` or ``[P]``.
+        parameters: The module's, by dotted name.
+        owner: What the module is called in errors.
+
+    Raises:
+        ValueError: If a name is not the module's, or a leaf's shape beside the batch or
+            its type is not its parameter's. The leaf is named.
+
+    Examples:
+        >>> layer = nn.Linear(3, 2)
+        >>> parameters = dict(layer.named_parameters())
+        >>> list(fitting_leaves(genome_of(layer), parameters, "the layer"))
+        ['weight', 'bias']
+    """
+    size = genomes.batch_size
+    leaves: dict[str, torch.Tensor] = {}
+    for path, value in genomes.items(include_nested=True, leaves_only=True):
+        name = path if isinstance(path, str) else ".".join(path)
+        leaves[name] = value
+    for name, value in leaves.items():
+        if name not in parameters:
+            raise ValueError(f"{owner} has no parameter {name!r}, which the genome has")
+        own, shape = parameters[name], value.shape[len(size) :]
+        if shape != own.shape:
+            raise ValueError(
+                f"{name} has shape {tuple(own.shape)}, the genome's is {tuple(shape)}"
+            )
+        if value.dtype != own.dtype:
+            raise ValueError(f"{name} is {own.dtype}, the genome's is {value.dtype}")
+    return leaves
+
+
 @torch.no_grad()
 def install(module: nn.Module, genome: TensorDictBase) -> None:
     """Write a genome into a module in place: the same Parameter objects, new values.
@@ -72,7 +110,7 @@ def install(module: nn.Module, genome: TensorDictBase) -> None:
         genome: Values by nested name, batch size ``[]``.
 
     Raises:
-        ValueError: If a name or a shape is not the module's.
+        ValueError: If a name, a shape or a type is not the module's; nothing is changed.
 
     Examples:
         >>> layer = nn.Linear(3, 2)
@@ -82,17 +120,6 @@ def install(module: nn.Module, genome: TensorDictBase) -> None:
         (True, 0.0)
     """
     parameters = dict(module.named_parameters())
-    values: dict[str, torch.Tensor] = {}
-    for path, value in genome.items(include_nested=True, leaves_only=True):
-        name = path if isinstance(path, str) else ".".join(path)
-        if name not in parameters:
-            raise ValueError(f"{type(module).__name__} has no parameter {name!r}")
-        if parameters[name].shape != value.shape:
-            raise ValueError(
-                f"{name} has shape {tuple(parameters[name].shape)}, "
-                f"the genome's is {tuple(value.shape)}"
-            )
-        values[name] = value
-    # Only now: a genome that does not fit changes nothing.
-    for name, value in values.items():
+    leaves = fitting_leaves(genome, parameters, type(module).__name__)
+    for name, value in leaves.items():
         parameters[name].copy_(value)

@@ -8,11 +8,14 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch.func import functional_call
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import DistributionalQValueActor
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.modules.population_actor import split_actor
+from gdrl_torchrl.evolution.genome import fitting_leaves
+from gdrl_torchrl.modules.members import split_actor
+from gdrl_torchrl.modules.private_copy import private_copy
 
 Outputs = Callable[[TensorDictBase, torch.Tensor], torch.Tensor]
 
@@ -39,6 +42,7 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
         >>> outputs_of(actor)(genome_of(actor), torch.zeros(3)).shape
         torch.Size([5])
     """
+    name = type(actor).__name__
     prefix, _ = split_actor(actor)
     written = next(
         (key for key in ("loc", "action_value") if key in prefix.out_keys),
@@ -47,14 +51,14 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
     has_atoms = isinstance(actor, DistributionalQValueActor)
 
     def outputs(genome: TensorDictBase, observation: torch.Tensor) -> torch.Tensor:
-        own: Any = TensorDict.from_module(prefix)
-        weights = own.data.copy().unlock_().update(genome)
+        # What a forward pass writes or breaks, it does to a copy.
+        prefix, _ = split_actor(private_copy(actor))
+        own = dict(prefix.named_parameters())
+        weights = own | fitting_leaves(genome, own, name)
         rows = TensorDict({keys.OBSERVATION: observation}, batch_size=[])
-        with (
-            set_exploration_type(ExplorationType.DETERMINISTIC),
-            weights.to_module(prefix, preserve_module_state=False),
-        ):
-            values = prefix(rows).get(written)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            out: Any = functional_call(prefix, weights, (rows,))
+        values = out.get(written)
         if has_atoms:
             support: torch.Tensor = actor.support  # pyright: ignore[reportAssignmentType]
             return support @ values.softmax(-2)

@@ -2,35 +2,60 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
+from torch.func import functional_call
 from torchrl.envs.utils import exploration_type
 
+from gdrl_torchrl.evolution.genome import fitting_leaves
 from gdrl_torchrl.modules.graph import Tensors, TracedFunction, trace
+from gdrl_torchrl.modules.members import (
+    Reason,
+    act_on,
+    make_members,
+    split_actor,
+    why_one_by_one,
+)
+from gdrl_torchrl.modules.private_copy import fingerprint, private_copy
+
+_logger = logging.getLogger(__name__)
 
 
 class PopulationActor:
     """Run ``P`` members of an actor on ``[P * S]`` rows, member by member.
 
+    Members are copies of the actor with weights of their own; the actor itself is only
+    read. Its modes, attributes and buffers are taken over at every :meth:`load`.
+
     The part of the actor that owns parameters is vectorised over members; the heads
     that own none (distributions, argmax) run on all rows at once, so actors whose
-    heads ``torch.vmap`` refuses work too. The actor itself is never modified.
+    heads ``torch.vmap`` refuses work too. That part is traced once to a graph of tensor
+    operations and run without Python's share of the work, which for small networks is
+    most of it. The graph is used only if it gives the same numbers, bit for bit, as the
+    vectorised modules on its first inputs; otherwise the modules are run.
 
-    The vectorised part is traced once to a graph of tensor operations and run without
-    Python's share of the work, which for small networks is most of it. The graph is
-    used only if it gives the same numbers, bit for bit, as the vectorised modules on
-    its first inputs; otherwise the modules are run.
+    On its first inputs an actor is also compared with members that act alone. If it acts
+    otherwise as a batch (recurrent layers that vmap refuses, batch statistics, random
+    layers, a state in buffers or attributes), members act one by one, each a copy that
+    keeps its own state from :meth:`load` on; the log says why.
 
     Args:
         actor: Any TorchRL actor without lazy layers: a tensordict module, or a
             sequence of them.
-        trace: Whether to trace. A policy that keeps a state in Python objects must not
-            be.
+        trace: Whether to trace.
         action_key: Where the actor writes its action.
+
+    Attributes:
+        in_keys: What the actor reads.
+        num_evolving: Weights of a member that come from its genome.
+
+    Raises:
+        ValueError: If the actor has no parameters, or cannot be copied.
 
     Examples:
         >>> from gdrl_torchrl.evolution.genome import genome_of, stack_copies
@@ -51,77 +76,88 @@ class PopulationActor:
         trace: bool = True,
         action_key: str = "action",
     ) -> None:
+        if not any(True for _ in actor.parameters()):
+            raise ValueError(f"{type(actor).__name__} has no parameters")
         self.actor = actor
         self.trace = trace
         self.action_key = action_key
-        self._prefix, self._heads = split_actor(actor)
-        self.in_keys = list(self._prefix.in_keys)
-        self._names = {name for name, _ in self._prefix.named_parameters()}
-        if not self._names:
-            raise ValueError(f"{type(actor).__name__} has no parameters")
+        self.in_keys = list(actor.in_keys)
+        self.num_evolving = 0
+        self._fingerprint: bytes | None = None
+        self._all: TensorDictBase | None = None
         self._params: TensorDictBase | None = None
-        self._graphs: dict[Any, TracedFunction | None] = {}
-        self._loaded: dict[Any, _Bound] = {}
-        self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
+        self._members: list[Any] | None = None
+        self._copy_actor(None)
 
     def load(self, genomes: TensorDictBase) -> None:
-        """Choose the members.
+        """Make members of genomes, and choose all of them.
 
         Args:
             genomes: Parameters ``[P]`` by nested name; those of the actor that are
-                missing (and all buffers) are the actor's own.
+                missing (and all buffers) are the actor's own, as they are now.
 
         Raises:
-            ValueError: If a name is not one of the actor's parameters.
+            ValueError: If a leaf is not one of the actor's parameters, or has another
+                shape or type.
         """
-        given = {_dotted(key) for key in genomes.keys(True, True)}
-        unknown = sorted(given - self._names)
-        if unknown:
-            raise ValueError(
-                f"{type(self.actor).__name__} has no parameters {unknown}, which the "
-                "genomes have"
-            )
-        count = genomes.batch_size[0]
-        own: Any = TensorDict.from_module(self._prefix)
-        whole = own.data.expand(count)
-        # A locked view of the module: copied structure, shared memory.
-        self._params = whole.copy().unlock_().update(genomes)
+        parameters = dict(self.actor.named_parameters())
+        given = fitting_leaves(genomes, parameters, type(self.actor).__name__)
+        now = fingerprint(self.actor)
+        if now is None or now != self._fingerprint:
+            self._copy_actor(now)
+        size = genomes.batch_size
+        own = parameters | dict(self.actor.named_buffers())
+        weights = {
+            name: value.detach().clone().expand(*size, *value.shape)
+            for name, value in own.items()
+            if name not in given
+        }
+        self._all = TensorDict(weights | given, batch_size=size)
+        self.num_evolving = sum(value[0].numel() for value in given.values())
+        self.choose(slice(None))
+
+    def choose(self, members: Any) -> None:
+        """Choose who acts: indices of loaded members, ``[K]``, each as often as given."""
+        if self._all is None:
+            raise RuntimeError("no members are loaded: call load(genomes) first")
+        self._params = self._all[members]
+        self._members = None
         self._loaded.clear()
 
     def unload(self) -> None:
         """Forget the members."""
-        self._params = None
+        self._all = self._params = self._members = None
         self._loaded.clear()
+
+    def acts_row_by_row(self, rows: TensorDictBase) -> bool:
+        """Whether each row's action depends on that row and the weights alone.
+
+        Args:
+            rows: What members may be shown, ``[S]``, ``S`` >= 2.
+        """
+        params = self._chosen()
+        inputs = rows.select(*self.in_keys).expand(len(params), *rows.batch_size)
+        return self._is_vectorised(inputs)
 
     @torch.no_grad()
     def __call__(self, rows: TensorDictBase) -> TensorDictBase:
         """Act: rows ``[P * S]``, the members' rows one after another.
 
         Returns:
-            ``rows`` with the actor's outputs and ``policy_is_finite`` ``[P * S]``: a
-            row whose network output is not a number acts as if the output were 0.
+            ``rows`` with the actor's outputs and ``policy_is_finite`` ``[P * S]``. A row
+            whose network output is not a number acts as if the output were 0, and is
+            marked. Minus infinity is let through, as a mask of forbidden actions, where
+            something else remains to be chosen.
 
         Raises:
             RuntimeError: If no members are loaded.
         """
-        if self._params is None:
-            raise RuntimeError("no members are loaded: call load(genomes) first")
-        members = self._params.batch_size[0]
-        inputs = rows.select(*self.in_keys).reshape(members, -1)
-        finite = torch.ones(rows.batch_size, dtype=torch.bool)
-        for key, value in self._outputs(inputs).items():
-            value = value.flatten(0, 1)
-            # The sum tells at once whether all numbers are, except when it overflows.
-            if value.dtype.is_floating_point and not torch.isfinite(value.sum()):
-                mask = torch.isfinite(value)
-                finite &= mask.reshape(len(mask), -1).all(dim=1)
-                # A neutral value keeps heads from raising; the row is marked instead.
-                neutral = torch.ones_like if key == "scale" else torch.zeros_like
-                value = torch.where(mask, value, neutral(value))
-            rows.set(key, value)
-        for head in self._heads:
-            rows = head(rows)
-        return rows.set("policy_is_finite", finite)
+        inputs = rows.select(*self.in_keys).reshape(len(self._chosen()), -1)
+        if not self._is_vectorised(inputs):
+            return self._one_by_one(rows, inputs)
+        outputs = self._outputs(inputs.select(*self._prefix.in_keys))
+        flat = {key: value.flatten(0, 1) for key, value in outputs.items()}
+        return act_on(rows, flat, self._heads, self.action_key)
 
     @torch.no_grad()
     def bind(
@@ -138,9 +174,11 @@ class PopulationActor:
         Returns:
             A function of tensors as those of ``inputs``, in their order, ``[P, S, ...]``.
             It gives actions ``[P, S, ...]`` and the mask of rows whose network output
-            was a number ``[P, S]``. Loading other members ends its use.
+            was a number ``[P, S]``. Choosing other members ends its use.
         """
-        run = self._run_of(inputs, parts, run_all)
+        run = None
+        if self._is_vectorised(inputs):
+            run = self._run_of(inputs, parts, run_all)
         names, size = _leaves(inputs), inputs.batch_size
 
         def act(values: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
@@ -156,12 +194,51 @@ class PopulationActor:
 
         return act
 
+    def _copy_actor(self, now: bytes | None) -> None:
+        """A new copy to run, for which nothing is known yet."""
+        self._fingerprint = now
+        self._actor = private_copy(self.actor)
+        self._prefix, self._heads = split_actor(self._actor)
+        self._graphs: dict[Any, TracedFunction | None] = {}
+        self._loaded: dict[Any, _Bound] = {}
+        self._reasons: dict[Any, Reason] = {}
+        self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
+
+    def _chosen(self) -> TensorDictBase:
+        if self._params is None:
+            raise RuntimeError("no members are loaded: call load(genomes) first")
+        return self._params
+
+    def _is_vectorised(self, inputs: TensorDictBase) -> bool:
+        """Whether members act as a batch as they would alone, by inputs ``[P, S]``."""
+        kinds = tuple((name, x.shape[2:], x.dtype) for name, x in _leaves(inputs).items())
+        key = (kinds, exploration_type(), min(inputs.shape[1], 2))
+        if key not in self._reasons:
+            params = self._chosen()
+            reason = why_one_by_one(self._actor, self._vmapped, params, inputs)
+            if reason is None:
+                return True  # nothing was learned: ask again
+            if reason:
+                name = type(self.actor).__name__
+                _logger.warning("members of %s act one by one: %s", name, reason)
+            self._reasons[key] = reason
+        return not self._reasons[key]
+
+    def _one_by_one(self, rows: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
+        if self._members is None:
+            self._members = make_members(self._actor, self._chosen())
+        acted: list[Any] = []
+        for member, own in zip(self._members, inputs.unbind(0), strict=True):
+            prefix, heads = split_actor(member)
+            written = prefix(own.clone()).select(*prefix.out_keys, strict=False)
+            acted.append(act_on(own.clone(), _leaves(written), heads, self.action_key))
+        return rows.update(torch.cat(acted))
+
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
         bound = self._bound(inputs)
         if bound is None:
-            assert self._params is not None
-            return _leaves(self._vmapped(self._params, inputs))
+            return _leaves(self._vmapped(self._chosen(), inputs))
         outputs = bound.run(*_leaves(inputs).values())
         return dict(zip(self._prefix.out_keys, outputs, strict=True))
 
@@ -197,16 +274,13 @@ class PopulationActor:
         whole: bool = False,
     ) -> _Bound | None:
         """The graph for inputs ``[P, S]`` of some members; None if there is none."""
-        if not self.trace:
+        # Without a fingerprint nobody knows what a graph would have outlived.
+        if not self.trace or self._fingerprint is None:
             return None
         values = _leaves(inputs)
-        # All that the operations depend on beside the numbers.
-        key = (
-            tuple((name, x.shape, x.dtype) for name, x in values.items()),
-            exploration_type(),
-            self._prefix.training,
-            whole,
-        )
+        # All that the operations depend on beside the numbers and the fingerprint.
+        kinds = tuple((name, x.shape, x.dtype) for name, x in values.items())
+        key = (kinds, exploration_type(), whole)
         if key not in self._graphs:
             run = self._run_whole if whole else self._run_prefix
             self._graphs[key] = self._traced(run, inputs, members)
@@ -215,8 +289,7 @@ class PopulationActor:
             return None
         loaded = (*key, members.start)
         if loaded not in self._loaded:
-            assert self._params is not None
-            leaves = _leaves(self._params[members]).values()
+            leaves = _leaves(self._chosen()[members]).values()
             self._loaded[loaded] = _Bound(graph.bind(list(leaves)), graph.is_pure)
         return self._loaded[loaded]
 
@@ -249,8 +322,7 @@ class PopulationActor:
         self, run: Any, inputs: TensorDictBase, members: slice
     ) -> TracedFunction | None:
         """A function of genomes and inputs as a graph, or None if it is not one."""
-        assert self._params is not None
-        genomes: Any = self._params[members]
+        genomes = self._chosen()[members]
         params, count = _leaves(genomes), genomes.batch_size
         leaves, size = _leaves(inputs), inputs.batch_size
 
@@ -261,8 +333,9 @@ class PopulationActor:
         return trace(flat, list(params.values()), list(leaves.values()))
 
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
-        with params.to_module(self._prefix, preserve_module_state=False):
-            return self._prefix(inputs).select(*self._prefix.out_keys, strict=False)
+        # Tied weights have one name here, and functional_call knows the others.
+        out: Any = functional_call(self._prefix, dict(params.items()), (inputs,))
+        return out.select(*self._prefix.out_keys, strict=False)
 
 
 class _Bound(NamedTuple):
@@ -283,22 +356,3 @@ def _nested(
     for name, value in zip(names, values, strict=True):
         whole.set(name, value)
     return whole
-
-
-def _dotted(key: Any) -> str:
-    return key if isinstance(key, str) else ".".join(key)
-
-
-def split_actor(
-    actor: TensorDictModuleBase,
-) -> tuple[TensorDictModuleBase, list[TensorDictModuleBase]]:
-    """The shortest beginning of an actor that owns all its parameters, and the rest."""
-    if not isinstance(actor, TensorDictSequential):
-        return actor, []
-    parts: list[Any] = list(actor.module)
-    owners = [i for i, part in enumerate(parts) if any(True for _ in part.parameters())]
-    if not owners:
-        raise ValueError(f"{type(actor).__name__} has no parameters")
-    cut = owners[-1] + 1
-    # Names stay those of the whole actor: module.0, module.1, ...
-    return TensorDictSequential(*parts[:cut]), parts[cut:]

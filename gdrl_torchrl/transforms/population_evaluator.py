@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -21,6 +22,8 @@ from gdrl_torchrl.transforms.population_rollout import (
 )
 from gdrl_torchrl.transforms.simulation_rollout import SimulationRollout, simulation_of
 
+_logger = logging.getLogger(__name__)
+
 Fitness = str | Callable[[TensorDictBase], torch.Tensor]
 
 
@@ -37,13 +40,17 @@ class PopulationEvaluator(Transform):
     An environment without a batch (a stock dm_control or Gymnasium one) is run
     serially: member by member, episode by episode, its seed set before each reset.
 
+    Members are scored as a plain loop over them would score them; policies that cannot
+    act as a batch act one by one (``docs/extending/policies.md``).
+
     Args:
-        actor: The actor whose family is evaluated; it is not modified, and not a
-            submodule.
+        actor: The actor whose family is evaluated. It is not a submodule, and only read:
+            a copy of it acts, in its modes and with its buffers at that time.
         num_episodes: Episodes ``S`` per member.
         create_env_fn: Makes the environment to evaluate in; None takes the parent
             environment, which must not be stepped by a collector at the same time.
-        max_steps: Steps after which an episode is cut off; None waits for its end.
+        max_steps: Steps after which an episode is cut off; its last transition is
+            truncated. None waits for its end.
         fitness: ``goals`` (episodes that ended in success), ``return`` (mean return)
             or a function of the result ``[P]`` giving ``[P]``.
         seed: Seed of the fitness episodes.
@@ -51,7 +58,8 @@ class PopulationEvaluator(Transform):
             ``set_seed`` seeds an environment before each reset, ``none`` leaves it
             alone; ``auto`` takes ``reset`` if the environment's worlds have seeds of
             their own and ``set_seed`` otherwise. With ``set_seed`` one member runs at a
-            time, for the worlds of a batch would differ between members.
+            time, for the worlds of a batch would differ between members, and if seeds
+            are given one episode: a batch has one seed.
         exploration_type: How the members act.
         params_key: Where :meth:`forward` finds the population.
         success_key: Flag of the environment that marks success, read at the end of an
@@ -59,6 +67,8 @@ class PopulationEvaluator(Transform):
         inverse: Whether to evaluate on a replay buffer's ``extend``.
         extra_keys: Further entries of the environment to report ``[P, S]``, as they
             are at the end of an episode.
+        trace: Whether the policy may be traced to a graph of tensor operations, which is
+            faster. False runs its modules.
 
     Raises:
         ValueError: If ``num_episodes`` < 1 or ``max_steps`` < 1.
@@ -95,6 +105,7 @@ class PopulationEvaluator(Transform):
         success_key: NestedKey = keys.SUCCESS,
         inverse: bool = False,
         extra_keys: tuple[str, ...] = (),
+        trace: bool = True,
     ) -> None:
         if num_episodes < 1:
             raise ValueError(f"num_episodes={num_episodes} must be >= 1")
@@ -111,7 +122,7 @@ class PopulationEvaluator(Transform):
         super().__init__()
         # Kept out of the module tree: TransformedEnv would put the policy in eval mode
         # and the environment's state_dict would hold it.
-        self.__dict__["population"] = PopulationActor(actor)
+        self.__dict__["population"] = PopulationActor(actor, trace=trace)
         self.num_episodes = num_episodes
         self.max_steps = max_steps
         self.fitness = fitness
@@ -196,8 +207,14 @@ class PopulationEvaluator(Transform):
             A tensordict ``[P]``: ``fitness``, ``success_rate``, ``return_mean`` and
             ``frames`` (environment steps) ``[P]``; ``successes``, ``returns``,
             ``steps``, the extra keys and, if the environment tells, ``outcomes``
-            ``[P, S]``. A member whose policy gave a number that is not finite has
-            fitness NaN.
+            ``[P, S]``. A member has fitness NaN if its policy gave an action, or an
+            output that actions are chosen by, that is no number, or a return is none; if
+            all have, the log says why.
+
+        Raises:
+            ValueError: If ``params`` do not fit the policy, ``seeds`` are not ``[S]``,
+                or the policy or the fitness need what the environment has not.
+            RuntimeError: If there is no environment, or an episode does not end.
         """
         return self._evaluate(params, seeds, keep_transitions=False)[0]
 
@@ -230,6 +247,8 @@ class PopulationEvaluator(Transform):
                 f"fitness='goals' needs the entry {self.success_key!r} of the environment, "
                 "which it has not: choose fitness='return' or another success_key"
             )
+        self._check_inputs(env)
+        seeding, are_given = self.seeding_of(env), seeds is not None
         if seeds is None:
             seeds = self.fresh_seeds(self.num_episodes)
         self.num_evaluations += 1
@@ -240,23 +259,36 @@ class PopulationEvaluator(Transform):
         log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
-        members = 1 if self.seeding_of(env) == "set_seed" else max(1, worlds // trials)
-        simulation = simulation_of(self, env)
+        members = max(1, worlds // trials)
+        if seeding == "set_seed":
+            trials, members = 1 if are_given else trials, 1
         try:
+            self.population.load(params)
             with set_exploration_type(self.exploration_type):
+                simulation = simulation_of(self, env)
+                make = PopulationRollout if simulation is None else SimulationRollout
                 for first in range(0, count, members):
                     rows = slice(first, min(first + members, count))
-                    self.population.load(params[rows])
+                    self.population.choose(rows)
                     for begin in range(0, len(seeds), trials):
                         columns = slice(begin, min(begin + trials, len(seeds)))
                         part = (scores[rows, columns], seeds[columns])
-                        rollout: Any = PopulationRollout(self, env, *part)
-                        if simulation is not None:
-                            rollout = SimulationRollout(self, env, params[rows], *part)
+                        rollout = make(self, env, *part)
                         rollout.run(log if keep_transitions else None, (first, begin))
         finally:
             self.population.unload()
         return self._summary(scores, env), ordered_episodes(log)
+
+    def _check_inputs(self, env: EnvBase) -> None:
+        """Raise ValueError if the policy reads what the environment does not give."""
+        offered = {*env.full_observation_spec.keys(True), *env.full_done_spec.keys(True)}
+        missing = [key for key in self.population.in_keys if key not in offered]
+        if missing:
+            raise ValueError(
+                f"the policy reads {missing}, which the environment does not give: for a "
+                "recurrent policy append InitTracker() and the primer that its "
+                "make_tensordict_primer() makes"
+            )
 
     def seeding_of(self, env: EnvBase) -> str:
         """How episodes of an environment are chosen."""
@@ -312,5 +344,13 @@ class PopulationEvaluator(Transform):
             fitness = scores["success"].sum(dim=1).float()
         else:
             fitness = result[keys.RETURN_MEAN].clone()
-        broken = ~scores.get("finite").all(dim=1)
-        return result.set(keys.FITNESS, fitness.masked_fill(broken, torch.nan))
+        broken_policy = ~scores.get("finite").all(dim=1)
+        broken_return = ~torch.isfinite(scores["return"]).all(dim=1)
+        fitness = fitness.masked_fill(broken_policy | broken_return, torch.nan)
+        if bool(torch.isnan(fitness).all()):
+            _logger.warning(
+                "fitness is NaN for all %d members: actions are no numbers for %d, returns "
+                "for %d",
+                *(len(fitness), int(broken_policy.sum()), int(broken_return.sum())),
+            )
+        return result.set(keys.FITNESS, fitness)

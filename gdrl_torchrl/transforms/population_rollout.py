@@ -15,6 +15,9 @@ from gdrl_torchrl import keys
 if TYPE_CHECKING:
     from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
+LONGEST_EPISODE = 100_000
+"""Steps after which an episode without a limit is taken for one that never ends."""
+
 
 class PopulationRollout:
     """One batch of members and episodes in an environment, until all have ended."""
@@ -30,7 +33,11 @@ class PopulationRollout:
         self.used = scores.numel()
 
     def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
-        """Fill the scores ``[p, s]``; append transitions to ``log``."""
+        """Fill the scores ``[p, s]``; append transitions to ``log``.
+
+        Raises:
+            RuntimeError: If episodes do not end and have no limit.
+        """
         env, used = self.env, self.used
         worlds = env.batch_size.numel()
         td = self._reset()
@@ -51,21 +58,25 @@ class PopulationRollout:
                 td.set(keys.STEP_MASK, alive.reshape(env.batch_size))
             td = env.step(td)
             following = td["next"]
-            if log is not None:
-                log.append(self._transitions(td, alive, steps, offset))
             reward = following[keys.REWARD].reshape(worlds).to(torch.float64)
             done = following[keys.DONE].reshape(worlds)
             # Frozen worlds repeat their last step: nothing of it counts.
             returns += torch.where(alive, reward, 0.0)
             steps += alive
+            cut = torch.zeros_like(done) if limit is None else steps >= limit
+            if log is not None:
+                log.append(self._transitions(td, alive, steps - 1, offset, cut & ~done))
             ended = alive & done
             if bool(ended.any()):
                 for key, name in final_keys.items():
                     value = following[key].reshape(worlds)
                     final[name] = torch.where(ended, value, final[name])
-            alive = alive & ~done
-            if limit is not None:
-                alive &= steps < limit
+            alive = alive & ~done & ~cut
+            if limit is None and int(steps.max()) >= LONGEST_EPISODE:
+                raise RuntimeError(
+                    f"{int(alive.sum())} episodes have not ended after {LONGEST_EPISODE} "
+                    "steps: max_steps=None waits for the environment's own end; set it"
+                )
             td = step_mdp(td, exclude_action=True)
         scores = self.scores
         final |= {"return": returns.float(), "steps": steps, "finite": finite}
@@ -93,6 +104,12 @@ class PopulationRollout:
         rows: Any = td.select(*population.in_keys).reshape(-1)
         rows = population(rows[:used] if used < rows.shape[0] else rows)
         acted = rows.pop("policy_is_finite")
+        for key in self.env.action_keys:
+            action = rows.get(key)
+            if action.dtype.is_floating_point:
+                strange = ~torch.isfinite(action)
+                rows.set(key, action.masked_fill(strange, 0.0))
+                acted = acted & ~strange.reshape(used, -1).any(dim=1)
         finite[:used] &= acted | ~alive[:used]
         if used < self.env.batch_size.numel():
             idle = rows[:1].expand(self.env.batch_size.numel() - used)
@@ -108,14 +125,28 @@ class PopulationRollout:
         alive: torch.Tensor,
         steps: torch.Tensor,
         offset: tuple[int, int],
+        cut: torch.Tensor,
     ) -> TensorDictBase:
+        """Transitions ``[L]`` of worlds that are alive, truncated where they are cut."""
         trials = self.scores.batch_size[1]
         flat = td.exclude(keys.STEP_MASK).reshape(-1)[alive].clone()
         world = alive.nonzero()[:, 0]
         flat["member"] = offset[0] + world // trials
         flat["episode"] = offset[1] + world % trials
         flat["time"] = steps[alive]
+        mark_truncated(flat["next"], cut[alive])
         return flat
+
+
+def mark_truncated(following: TensorDictBase, cut: torch.Tensor) -> None:
+    """Let transitions end where an episode is cut off, ``[N]``.
+
+    What follows them is another episode, and their last observation has a value.
+    """
+    shape = following[keys.DONE].shape
+    for key in (keys.DONE, keys.TRUNCATED):
+        flag = following.get(key, torch.zeros(shape, dtype=torch.bool))
+        following.set(key, flag | cut.reshape(-1, *[1] * (flag.ndim - 1)))
 
 
 def ordered_episodes(log: list[TensorDictBase]) -> TensorDictBase:

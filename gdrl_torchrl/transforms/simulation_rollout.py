@@ -15,15 +15,19 @@ from torchrl.envs import EnvBase
 from gdrl_tasks import BatchSimulation, Outcome
 from gdrl_torchrl import keys
 from gdrl_torchrl.transforms.blocks import block_shapes, blocks_needed, fill_blocks
+from gdrl_torchrl.transforms.population_rollout import mark_truncated
 
 if TYPE_CHECKING:
     from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+
+_ROWS_SHOWN = 3
 
 
 def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
     """The simulation that an environment is a plain view of, or None.
 
-    Also None if the evaluation asks for something that only the environment can tell.
+    Also None if the evaluation asks for something that only the environment can tell,
+    or an action depends on more than what its world observes: worlds act in blocks here.
     """
     # Its own attribute: wrappers pass on those of what they wrap.
     simulation = vars(env).get("simulation")
@@ -34,8 +38,13 @@ def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulati
     told = {keys.SUCCESS, *simulation.arrays}
     if not told.issuperset(map(str, evaluator.final_keys(env))):
         return None
-    reads = evaluator.population.in_keys
-    return simulation if reads == [keys.OBSERVATION] else None
+    if evaluator.population.in_keys != [keys.OBSERVATION]:
+        return None
+    spec: Any = env.full_observation_spec[keys.OBSERVATION]
+    generator = torch.Generator().manual_seed(0)
+    shown = torch.rand(_ROWS_SHOWN, spec.shape[-1], generator=generator) - 0.5
+    rows = TensorDict({keys.OBSERVATION: shown.to(spec.dtype)}, batch_size=[_ROWS_SHOWN])
+    return simulation if evaluator.population.acts_row_by_row(rows) else None
 
 
 @contextmanager
@@ -66,17 +75,16 @@ class SimulationRollout:
         self,
         evaluator: PopulationEvaluator,
         env: EnvBase,
-        params: TensorDictBase,
         scores: TensorDictBase,
         seeds: torch.Tensor,
     ) -> None:
         self.evaluator, self.env = evaluator, env
         self.simulation: BatchSimulation = env.simulation  # pyright: ignore
         self.population = evaluator.population
-        self.params, self.scores, self.seeds = params, scores, seeds
+        self.scores, self.seeds = scores, seeds
+        self.first_member = 0
         members, trials = scores.batch_size
-        weights = sum(leaf[0].numel() for leaf in params.values(True, True))
-        self.shapes = block_shapes(members, trials, weights)
+        self.shapes = block_shapes(members, trials, self.population.num_evolving)
         self.shape = self.shapes[0]
         self.run_all: Any = map
         self.act: Any = None
@@ -93,6 +101,7 @@ class SimulationRollout:
 
     def _run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
         members, trials = self.scores.batch_size
+        self.first_member = offset[0]
         simulation, count = self.simulation, members * trials
         live = np.arange(count)
         seeds = np.tile(self.seeds.numpy(), members)
@@ -154,7 +163,7 @@ class SimulationRollout:
             return slots
         self.shape = shape
         slots, owners = fill_blocks(live, trials, shape)
-        self.population.load(self.params[torch.from_numpy(owners)])
+        self.population.choose(self.first_member + torch.from_numpy(owners))
         self.act = None
         return slots
 
@@ -228,6 +237,11 @@ class _EpisodeLog:
         rows = self._env.entries(before(self._observed, observation), earlier)
         following = self._env.entries(observation, named)
         following.set(keys.REWARD, torch.from_numpy(reward)[:, None])
+        # An episode that goes on after its last step was cut off.
+        is_last = np.zeros(len(world), dtype=bool)
+        is_last[np.append(begins[1:], len(world)) - 1] = True
+        goes_on = ~following[keys.DONE].flatten()
+        mark_truncated(following, torch.from_numpy(is_last) & goes_on)
         lengths = np.diff(begins, append=len(world))
         added = {
             keys.ACTION: action,
