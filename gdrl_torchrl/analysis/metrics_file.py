@@ -18,6 +18,7 @@ KINDS: Mapping[str, Kind] = {
     "success_rate": RATE,
     "evaluations": COUNT,
     "switches": COUNT,
+    "without_fitness": COUNT,
     "mut_p": RATE,
     "switched": RATE,
 }

@@ -185,8 +185,8 @@ def share_experience(
 
     The windows over several steps are made first, of whole episodes; choosing first
     would join steps that did not follow each other. All that enter get the largest
-    priority. If the share exceeds the buffer's capacity, a random part of that size
-    enters.
+    priority that any item has had so far. If the share exceeds the buffer's capacity, a
+    random part of that size enters.
 
     Args:
         buffer: A buffer of :func:`make_prioritized_buffer`.

@@ -53,6 +53,7 @@ class PopulationActor:
     Attributes:
         in_keys: What the actor reads.
         num_evolving: Weights of a member that come from its genome.
+        reason: Why members act one by one, as found last; empty if they act as a batch.
 
     Raises:
         ValueError: If the actor has no parameters, or cannot be copied.
@@ -83,6 +84,7 @@ class PopulationActor:
         self.action_key = action_key
         self.in_keys = list(actor.in_keys)
         self.num_evolving = 0
+        self.reason: Reason = ""
         self._fingerprint: bytes | None = None
         self._all: TensorDictBase | None = None
         self._params: TensorDictBase | None = None
@@ -222,7 +224,8 @@ class PopulationActor:
                 name = type(self.actor).__name__
                 _logger.warning("members of %s act one by one: %s", name, reason)
             self._reasons[key] = reason
-        return not self._reasons[key]
+        self.reason = self._reasons[key]
+        return not self.reason
 
     def _one_by_one(self, rows: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         if self._members is None:

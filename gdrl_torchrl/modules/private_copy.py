@@ -117,5 +117,5 @@ class _Fingerprint(pickle.Pickler):
 
 def digest(tensor: torch.Tensor) -> int:
     """A number that tells a tensor's content, within this process."""
-    values = tensor.detach().cpu().contiguous()
-    return hash(values.view(torch.uint8).numpy().tobytes()) if values.numel() else 0
+    values = tensor.detach().cpu().contiguous().reshape(-1)
+    return hash(values.view(torch.uint8).numpy().tobytes())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -164,9 +166,17 @@ class RainbowLoss(DistributionalDQNLoss):
     def _target(self) -> Any:
         return self._installed(self.target_value_network_params)
 
-    def _installed(self, params: Any) -> Any:
-        own = params.get(("module", "0"))
-        return own.to_module(self._network, preserve_module_state=False)
+    @contextmanager
+    def _installed(self, params: Any) -> Iterator[None]:
+        own, error = params.get(("module", "0")), None
+        with own.to_module(self._network, preserve_module_state=False):
+            # After an exception tensordict would leave the network as it is now.
+            try:
+                yield
+            except Exception as raised:
+                error = raised
+        if error is not None:
+            raise error
 
     def _logits(self, rows: TensorDictBase) -> torch.Tensor:
         inputs = rows.select(*self._network.in_keys)

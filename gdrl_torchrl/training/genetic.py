@@ -57,7 +57,8 @@ class GeneticHook(PopulationHook):
         optimizer: Optimiser whose moments of the actor ``optimizer_on_switch`` is about.
         optimizer_on_switch: ``keep`` or ``reset`` those moments on a switch.
         critic: Critic that ``critic_on_switch`` is about.
-        critic_on_switch: ``keep`` the parent's critic or ``reset`` its layers.
+        critic_on_switch: ``keep`` the parent's critic or ``reset`` its layers, but for
+            those that it shares with the actor: they are the winner's.
         on_switch: Called on a switch, as to move a target network, while the actor has
             the winner's own weights.
         share_experience: Called with the transitions ``[T]`` of the evaluation (whole
@@ -71,7 +72,8 @@ class GeneticHook(PopulationHook):
 
     Raises:
         ValueError: If ``num_children`` or ``period_episodes`` < 1, ``own_share`` is
-            outside [0, 1), or something is to be reset that was not given.
+            outside [0, 1), something is to be reset that was not given, or a critic is
+            that has no layers of its own.
     """
 
     def __init__(
@@ -126,6 +128,9 @@ class GeneticHook(PopulationHook):
             raise ValueError("optimizer_on_switch='reset' needs an optimizer")
         if critic_on_switch == "reset" and critic is None:
             raise ValueError("critic_on_switch='reset' needs a critic")
+        self._resets = []
+        if critic_on_switch == "reset":
+            self._resets = _layers_of_its_own(critic, actor)
         self.num_children = num_children
         self.mutation = mutation
         self.std = std
@@ -201,12 +206,8 @@ class GeneticHook(PopulationHook):
             assert self.optimizer is not None
             for parameter in self.actor.parameters():
                 self.optimizer.state.pop(parameter, None)
-        if self.critic_on_switch == "reset":
-            assert self.critic is not None
-            for module in self.critic.modules():
-                reset = getattr(module, "reset_parameters", None)
-                if callable(reset):
-                    reset()
+        for reset in self._resets:
+            reset()
         for follow in self.on_switch:
             follow()
         if self.own_share > 0.0:
@@ -225,6 +226,27 @@ class GeneticHook(PopulationHook):
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
         self._observations = state_dict.get("observations")
+
+
+def _layers_of_its_own(critic: Any, actor: torch.nn.Module) -> list[Callable[[], object]]:
+    """What resets the layers of a critic that have no parameters of the actor's.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    shared = set(actor.parameters())
+    resets = [
+        module.reset_parameters
+        for module in critic.modules()
+        if callable(getattr(module, "reset_parameters", None))
+        and shared.isdisjoint(module.parameters())
+    ]
+    if not resets:
+        raise ValueError(
+            f"critic_on_switch='reset': {type(critic).__name__} has no layers to reset "
+            "that are not the actor's too"
+        )
+    return resets
 
 
 def update_collector(trainer: Any) -> None:

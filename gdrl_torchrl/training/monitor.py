@@ -34,6 +34,7 @@ COLUMNS = (
     "return_mean",
     "evaluations",
     "switches",
+    "without_fitness",
     "diverged",
     "skipped_updates",
     "mut_p",
@@ -189,6 +190,7 @@ class RunMonitor(TrainerHookBase):
             "episodes": self.genetic.episodes_completed,
             "success_rate": self.genetic.window.running_rate,
             "return_mean": self._batch_stats.get("return_mean"),
+            "without_fitness": self.genetic.num_without_fitness,
             "diverged": self._num_diverged(),
             "skipped_updates": sum(update.num_skipped for update in self.updates),
         }

@@ -38,6 +38,8 @@ class GeneticEvaluation:
 class PopulationHook(TrainerHookBase, abc.ABC):
     """Counts the agent's episodes and evaluates a population after every few of them.
 
+    It also counts the evaluations in which no member had a fitness that is a number.
+
     Args:
         actor: The agent's policy.
         evaluator: Scores populations, in an environment that no collector steps.
@@ -73,6 +75,7 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         self.generator = torch.Generator().manual_seed(seed)
         self.num_evaluations = 0
         self.num_switches = 0
+        self.num_without_fitness = 0
         self.population_steps = 0
         self.episodes_completed = 0
         self._episodes_at_evaluation = 0
@@ -157,6 +160,8 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         self.num_evaluations += 1
         self.num_switches += int(evaluation.switched)
         self.population_steps += evaluation.population_steps
+        fitness = evaluation.scores[keys.FITNESS]
+        self.num_without_fitness += int(torch.isnan(fitness).all())
         for callback in self.on_evaluation:
             callback(evaluation)
         return evaluation
@@ -169,6 +174,7 @@ class PopulationHook(TrainerHookBase, abc.ABC):
             "episodes_drawn": self.evaluator.episodes_drawn,
             "num_evaluations": self.num_evaluations,
             "num_switches": self.num_switches,
+            "num_without_fitness": self.num_without_fitness,
             "population_steps": self.population_steps,
             "episodes_completed": self.episodes_completed,
             "episodes_at_evaluation": self._episodes_at_evaluation,
@@ -182,6 +188,7 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         self.evaluator.episodes_drawn = state_dict["episodes_drawn"]
         self.num_evaluations = state_dict["num_evaluations"]
         self.num_switches = state_dict["num_switches"]
+        self.num_without_fitness = state_dict["num_without_fitness"]
         self.population_steps = state_dict["population_steps"]
         self.episodes_completed = state_dict["episodes_completed"]
         self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
