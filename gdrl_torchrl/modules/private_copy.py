@@ -6,13 +6,14 @@ import copy
 import io
 import pickle
 import types
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
 from torch import nn
 
 _PLAIN = (bool, int, float, str, type(None))
+_EVERY_MODULE_HAS = vars(nn.Module()).keys() - {"training"}
 
 
 def private_copy(module: nn.Module) -> Any:
@@ -70,24 +71,27 @@ def fingerprint(module: nn.Module) -> bytes | None:
     return content.getvalue()
 
 
-def plain_attributes(modules: Iterable[nn.Module]) -> tuple[Any, ...]:
-    """Modes and other attributes of modules that are numbers or text, quickly.
+def plain_attributes(modules: Iterable[nn.Module]) -> Callable[[], tuple[Any, ...]]:
+    """Make a quick look at modes and other attributes that are numbers or text.
 
-    What a graph of them depends on, short of a :func:`fingerprint`.
+    What a graph of modules depends on, short of a :func:`fingerprint`. Attributes that
+    modules get later are not seen.
 
     Examples:
         >>> layer = nn.Dropout(0.5)
-        >>> before = plain_attributes([layer])
+        >>> look = plain_attributes([layer])
+        >>> before = look()
         >>> layer.p = 0.1
-        >>> plain_attributes([layer]) == before
+        >>> look() == before
         False
     """
-    return tuple(
-        value
+    watched = [
+        (vars(module), name)
         for module in modules
-        for value in vars(module).values()
-        if isinstance(value, _PLAIN)
-    )
+        for name, value in vars(module).items()
+        if isinstance(value, _PLAIN) and name not in _EVERY_MODULE_HAS
+    ]
+    return lambda: tuple([attributes.get(name) for attributes, name in watched])
 
 
 class _Fingerprint(pickle.Pickler):

@@ -12,6 +12,7 @@ from tensordict.utils import NestedKey
 from torchrl.envs.utils import exploration_type
 
 from gdrl_torchrl.modules.graph import Tensors, TracedFunction, trace
+from gdrl_torchrl.modules.private_copy import plain_attributes
 
 
 class TracedPolicy:
@@ -21,7 +22,8 @@ class TracedPolicy:
     distributions. Here it is traced once to a graph of tensor operations, and outputs
     that nobody asks for are not computed. It draws from torch's global generator what
     the policy would. The graph is used only if it gives the policy's own numbers, bit for
-    bit; otherwise the policy is run.
+    bit; otherwise the policy is run. It is traced anew where a mode, or a number or text
+    among the attributes of its modules, has changed.
 
     Args:
         policy: Any policy whose inputs are tensors.
@@ -51,6 +53,7 @@ class TracedPolicy:
         self.trace = trace
         self.in_keys = list(policy.in_keys)
         self.out_keys = list(out_keys)
+        self._attributes = plain_attributes(policy.modules())
         self._graphs: dict[Any, TracedFunction | None] = {}
 
     @torch.no_grad()
@@ -68,7 +71,7 @@ class TracedPolicy:
         key = (
             tuple((x.shape, x.dtype) for x in inputs),
             exploration_type(),
-            self.policy.training,
+            self._attributes(),
         )
         weights = self._weights()
         if key not in self._graphs:

@@ -7,9 +7,11 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import nn
 from torchrl.objectives.common import LossModule
 
 from gdrl_torchrl.modules.graph import Tensors, TracedFunction, trace
+from gdrl_torchrl.modules.private_copy import plain_attributes
 
 
 class TracedLoss:
@@ -60,6 +62,10 @@ class TracedLoss:
         self.loss = loss
         self.parameters = list(parameters)
         self.diagnostics = None if diagnostics is None else set(diagnostics)
+        # Losses hide their networks from ``modules()``.
+        parts = [loss, *(x for x in vars(loss).values() if isinstance(x, nn.Module))]
+        every = (module for part in parts for module in part.modules())
+        self._attributes = plain_attributes(dict.fromkeys(every))
         self._traced: dict[Any, _Traced] = {}
 
     def backward(self, batch: TensorDictBase) -> TensorDict:
@@ -83,7 +89,7 @@ class TracedLoss:
         """What the operations depend on, beside the numbers and the types of entries."""
         following = batch.get("next", None)
         names = () if following is None else tuple(following.keys())
-        return batch.batch_size, tuple(batch.keys()), names, self.loss.training
+        return batch.batch_size, tuple(batch.keys()), names, self._attributes()
 
 
 class _Traced:

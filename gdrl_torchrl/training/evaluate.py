@@ -24,6 +24,7 @@ from gdrl_torchrl.analysis.fields import DIGEST, read_content, read_object
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env
 from gdrl_torchrl.evolution.genome import genome_of, stack_copies
+from gdrl_torchrl.modules.private_copy import private_copy
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 POLICY_FILE = "policy.safetensors"
@@ -102,7 +103,11 @@ def held_out_seeds(config: EvaluationConfig) -> np.ndarray:
 
 
 def greedy_act(actor: TensorDictModuleBase) -> Callable[[np.ndarray], np.ndarray]:
-    """The greedy policy on NumPy observations: ``[K, D]`` to actions ``[K, ...]``."""
+    """The greedy policy on NumPy observations: ``[K, D]`` to actions ``[K, ...]``.
+
+    A copy acts, with the policy's weights, buffers and modes as they are now.
+    """
+    actor = private_copy(actor)
 
     @torch.no_grad()
     def act(observation: np.ndarray) -> np.ndarray:

@@ -508,3 +508,24 @@ def test_it_says_what_it_reads_and_refuses_batches_without_it():
     # Truncated transitions are done too: TorchRL's loss would take that flag instead.
     with pytest.raises(KeyError, match="terminated"):
         loss(make_batch(6).exclude(("next", "terminated")))
+
+
+@pytest.mark.parametrize("calls", [1, 2, 3])
+def test_an_exception_in_the_network_leaves_it_with_its_weights(calls):
+    """Of the online network, twice, and of the target network."""
+    loss, actor, _ = make()
+    network, seen = actor.module[0], []
+
+    def fail(module, inputs):
+        seen.append(inputs)
+        if len(seen) == calls:
+            raise RuntimeError("out of order")
+
+    objects = {name: id(value) for name, value in actor.named_parameters()}
+    values = {name: value.clone() for name, value in actor.named_parameters()}
+    handle = network.register_forward_pre_hook(fail)
+    with pytest.raises(RuntimeError, match="out of order"):
+        loss(make_batch())
+    handle.remove()
+    assert {name: id(value) for name, value in actor.named_parameters()} == objects
+    assert all(torch.equal(p, values[name]) for name, p in actor.named_parameters())

@@ -212,3 +212,40 @@ def test_weights_from_elsewhere_are_read_anew():
         traced.backward(TensorDict(observation=rows, batch_size=[SIZE]))
         expected = torch.autograd.grad(network.module(rows).square().mean(), weight)[0]
         assert torch.equal(weight.grad, expected)
+
+
+def test_a_mode_or_attribute_that_changes_within_the_network_is_followed():
+    network = nn.Sequential(nn.Linear(3, 4), nn.Dropout(0.5), nn.Linear(4, 1))
+    loss = SquareLoss(network)
+    traced = TracedLoss(loss, list(loss.parameters()))
+
+    def value():
+        return float(traced.backward(square_batch())["loss"])
+
+    for layer in network:
+        layer.eval()
+    with torch.no_grad():
+        greedy = float(network(square_batch()["observation"]).square().mean())
+    assert value() == pytest.approx(greedy)
+    network[1].train()
+    assert value() != pytest.approx(greedy)
+    network[1].p = 0.0
+    assert value() == pytest.approx(greedy)
+
+
+class SquareLoss(LossModule):
+    """Keeps its network out of sight, as TorchRL's losses do."""
+
+    def __init__(self, network):
+        super().__init__()
+        self.__dict__["network"] = network
+        self.weights = nn.ParameterList(network.parameters())
+
+    def forward(self, batch):
+        return TensorDict(loss=self.network(batch["observation"]).square().mean())
+
+
+def square_batch():
+    return TensorDict(
+        observation=torch.linspace(-1.0, 1.0, 24).reshape(8, 3), batch_size=[8]
+    )

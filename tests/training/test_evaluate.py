@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gdrl_tasks
@@ -152,3 +154,11 @@ def test_a_policy_file_that_is_damaged_is_named(damage, saved):
         path.write_bytes(content[:40] if damage == "short" else b"\x07" * len(content))
     with pytest.raises(ValueError, match=r"policy\.safetensors cannot be loaded"):
         load_policy(folder, actor)
+
+
+def test_looking_at_a_policy_changes_none_of_its_statistics():
+    network = nn.Sequential(nn.Linear(3, 4), nn.BatchNorm1d(4), nn.Linear(4, 2)).train()
+    actor = TensorDictModule(network, ["observation"], ["action"])
+    before = {name: value.clone() for name, value in actor.state_dict().items()}
+    greedy_act(actor)(np.random.default_rng(0).normal(size=(6, 3)))
+    assert all(torch.equal(actor.state_dict()[n], value) for n, value in before.items())

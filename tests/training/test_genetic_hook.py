@@ -8,11 +8,18 @@ import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
+from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 from torchrl.envs import GymEnv
-from torchrl.modules import MLP, OneHotCategorical, ProbabilisticActor, ValueOperator
+from torchrl.modules import (
+    MLP,
+    ActorValueOperator,
+    OneHotCategorical,
+    ProbabilisticActor,
+    ValueOperator,
+)
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
@@ -278,6 +285,44 @@ def test_the_critic_is_kept_or_begun_anew(choice, actor):
     kept = all((p == before[name]).all() for name, p in critic.named_parameters())
     assert kept == (choice == "keep")
     assert [id(p) for p in critic.parameters()] == objects
+
+
+@pytest.mark.parametrize("choice", ["keep", "reset"])
+def test_a_trunk_that_actor_and_critic_share_is_the_winners(choice):
+    trunk = TensorDictModule(MLP(3, 8, num_cells=[8]), ["observation"], ["hidden"])
+    policy = TensorDictModule(nn.Linear(8, 2), ["hidden"], ["action"])
+    value = ValueOperator(MLP(8, 1, num_cells=[4]), in_keys=["hidden"])
+    model = ActorValueOperator(trunk, policy, value)
+    actor, critic = model.get_policy_operator(), model.get_value_operator()
+    before = {name: p.clone() for name, p in value.named_parameters()}
+    evaluator = ScriptedEvaluator(CHILD_WINS)
+    hook = hook_of(actor, evaluator, critic=critic, critic_on_switch=choice)
+    assert hook.evaluate().switched
+    winner, now = evaluator.populations[0][2], genome_of(actor)
+    assert (now == winner).all()
+    kept = all((p == before[name]).all() for name, p in value.named_parameters())
+    assert kept == (choice == "keep")
+
+
+def test_a_critic_that_has_no_layer_of_its_own_cannot_be_reset(actor):
+    with pytest.raises(ValueError, match="no layers to reset that are not the actor's"):
+        hook_of(actor, ScriptedEvaluator(), critic=actor, critic_on_switch="reset")
+
+
+def test_evaluations_in_which_no_fitness_is_a_number_are_counted(actor):
+    nan = float("nan")
+    evaluator = ScriptedEvaluator([nan, nan, nan], [nan, 1.0, nan], [nan, nan, nan])
+    hook = hook_of(actor, evaluator)
+    before = genome_of(actor)
+    assert not hook.evaluate().switched
+    assert (genome_of(actor) == before).all()
+    assert hook.num_without_fitness == 1
+    assert hook.evaluate().switched
+    hook.evaluate()
+    assert hook.num_without_fitness == 2
+    other = hook_of(actor, ScriptedEvaluator(CHILD_WINS))
+    other.load_state_dict(hook.state_dict())
+    assert other.num_without_fitness == 2
 
 
 def test_the_collector_acts_with_the_new_weights(tiny):

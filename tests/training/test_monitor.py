@@ -54,6 +54,7 @@ class TestBudgets:
             assert float(row["mut_p"]) in (0.75, 0.4, 0.1)
         switches = sum(int(row["switched"]) for row in evaluated)
         assert switches == int(rows[-1]["switches"])
+        assert {row["without_fitness"] for row in rows} == {"0"}
         episodes = [int(row["episodes"]) for row in rows]
         assert episodes == sorted(episodes)
 
