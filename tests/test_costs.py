@@ -159,7 +159,7 @@ def test_a_policy_of_bounds_alike_is_traced_whole():
     population.load(stack_copies(genome_of(actor), 2))
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         population.bind(TensorDict(observation=torch.rand(2, 5, 3), batch_size=[2, 5]))
-    [graph] = population._graphs.values()
+    [graph] = population._graphs.graphs.values()
     assert graph is not None
     assert graph.num_operations <= 18
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -125,27 +125,27 @@ def why_one_by_one(
     chosen = _finite_members(params)[:_MEMBERS]
     if len(chosen) == 0:
         return None
-    params, inputs = params[chosen], inputs[chosen][:, :_ROWS]
+    params, shown = params[chosen], cast(Any, inputs[chosen][:, :_ROWS])
     with torch.random.fork_rng(devices=[]):
         members = make_members(actor, params)
-        first = [_act(member, rows) for member, rows in zip(members, inputs, strict=True)]
+        first = [_act(member, rows) for member, rows in zip(members, shown, strict=True)]
         states = [_state(member) for member in members]
-        again = [_act(member, rows) for member, rows in zip(members, inputs, strict=True)]
+        again = [_act(member, rows) for member, rows in zip(members, shown, strict=True)]
         if states != [_state(member) for member in members]:
             return "it keeps a state from one call to the next"
         if not all(map(_are_equal, first, again)):
             return "it draws random numbers"
-        if inputs.shape[1] > 1 and not _rows_are_apart(members[0], inputs[0], first[0]):
+        if shown.shape[1] > 1 and not _rows_are_apart(members[0], shown[0], first[0]):
             return "its outputs for a row depend on the other rows"
         _, heads = split_actor(private_copy(actor))
         try:
-            batch = vmapped(params, inputs)
-            rows = inputs.reshape(-1).update(batch.reshape(-1))
+            batch = vmapped(params, shown)
+            rows = shown.reshape(-1).update(batch.reshape(-1))
             final = _finished(rows, heads, actor.out_keys)
         except Exception as error:  # whatever torch.vmap refuses
             said = str(error).strip().partition("\n")[0]
             return f"torch.vmap refuses it ({said[:_LONGEST_REASON]})"
-    count = inputs.shape[1]
+    count = shown.shape[1]
     for number, expected in enumerate(first):
         rows = slice(number * count, (number + 1) * count)
         if not _are_close({key: final[key][rows] for key in expected}, expected):

@@ -42,7 +42,7 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
         >>> outputs_of(actor)(genome_of(actor), torch.zeros(3)).shape
         torch.Size([5])
     """
-    name = type(actor).__name__
+    kind: Any = type(actor)
     prefix, _ = split_actor(actor)
     written = next(
         (key for key in ("loc", "action_value") if key in prefix.out_keys),
@@ -54,7 +54,7 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
         # What a forward pass writes or breaks, it does to a copy.
         prefix, _ = split_actor(private_copy(actor))
         own = dict(prefix.named_parameters())
-        weights = own | fitting_leaves(genome, own, name)
+        weights = own | fitting_leaves(genome, own, kind.__name__)
         rows = TensorDict({keys.OBSERVATION: observation}, batch_size=[])
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             out: Any = functional_call(prefix, weights, (rows,))

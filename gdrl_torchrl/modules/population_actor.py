@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,7 +13,8 @@ from torch.func import functional_call
 from torchrl.envs.utils import exploration_type
 
 from gdrl_torchrl.evolution.genome import fitting_leaves
-from gdrl_torchrl.modules.graph import Tensors, TracedFunction, trace
+from gdrl_torchrl.modules.graph import Tensors
+from gdrl_torchrl.modules.member_graphs import MemberGraphs, leaves_of, nested
 from gdrl_torchrl.modules.members import (
     Reason,
     act_on,
@@ -102,8 +103,8 @@ class PopulationActor:
             ValueError: If a leaf is not one of the actor's parameters, or has another
                 shape or type.
         """
-        parameters = dict(self.actor.named_parameters())
-        given = fitting_leaves(genomes, parameters, type(self.actor).__name__)
+        parameters, kind = dict(self.actor.named_parameters()), cast(Any, type(self.actor))
+        given = fitting_leaves(genomes, parameters, kind.__name__)
         now = fingerprint(self.actor)
         if now is None or now != self._fingerprint:
             self._copy_actor(now)
@@ -124,12 +125,12 @@ class PopulationActor:
             raise RuntimeError("no members are loaded: call load(genomes) first")
         self._params = self._all[members]
         self._members = None
-        self._loaded.clear()
+        self._graphs.unbind()
 
     def unload(self) -> None:
         """Forget the members."""
         self._all = self._params = self._members = None
-        self._loaded.clear()
+        self._graphs.unbind()
 
     def acts_row_by_row(self, rows: TensorDictBase) -> bool:
         """Whether each row's action depends on that row and the weights alone.
@@ -179,16 +180,16 @@ class PopulationActor:
             was a number ``[P, S]``. Choosing other members ends its use.
         """
         run = None
-        if self._is_vectorised(inputs):
-            run = self._run_of(inputs, parts, run_all)
-        names, size = _leaves(inputs), inputs.batch_size
+        if self._is_vectorised(inputs) and self._may_trace:
+            run = self._graphs.run_of(self._chosen(), inputs, parts, run_all)
+        names, size = leaves_of(inputs), inputs.batch_size
 
         def act(values: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
             if run is not None:
                 action, finite = run(*values)
                 if bool(finite.all()):
                     return action, finite
-            rows = self(_nested(names, values, size).reshape(-1))
+            rows = self(nested(names, values, size).reshape(-1))
             return (
                 rows[self.action_key].unflatten(0, size),
                 rows["policy_is_finite"].unflatten(0, size),
@@ -201,10 +202,16 @@ class PopulationActor:
         self._fingerprint = now
         self._actor = private_copy(self.actor)
         self._prefix, self._heads = split_actor(self._actor)
-        self._graphs: dict[Any, TracedFunction | None] = {}
-        self._loaded: dict[Any, _Bound] = {}
         self._reasons: dict[Any, Reason] = {}
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
+        self._graphs = MemberGraphs(
+            self._vmapped, self._prefix.out_keys, self._heads, self.action_key
+        )
+
+    @property
+    def _may_trace(self) -> bool:
+        # Without a fingerprint nobody knows what a graph would have outlived.
+        return self.trace and self._fingerprint is not None
 
     def _chosen(self) -> TensorDictBase:
         if self._params is None:
@@ -213,7 +220,7 @@ class PopulationActor:
 
     def _is_vectorised(self, inputs: TensorDictBase) -> bool:
         """Whether members act as a batch as they would alone, by inputs ``[P, S]``."""
-        kinds = tuple((name, x.shape[2:], x.dtype) for name, x in _leaves(inputs).items())
+        kinds = tuple((name, x.shape[2:], x.dtype) for name, x in leaves_of(inputs).items())
         key = (kinds, exploration_type(), min(inputs.shape[1], 2))
         if key not in self._reasons:
             params = self._chosen()
@@ -234,128 +241,18 @@ class PopulationActor:
         for member, own in zip(self._members, inputs.unbind(0), strict=True):
             prefix, heads = split_actor(member)
             written = prefix(own.clone()).select(*prefix.out_keys, strict=False)
-            acted.append(act_on(own.clone(), _leaves(written), heads, self.action_key))
+            acted.append(act_on(own.clone(), leaves_of(written), heads, self.action_key))
         return rows.update(torch.cat(acted))
 
     def _outputs(self, inputs: TensorDictBase) -> dict[Any, torch.Tensor]:
         """Outputs ``[P, S, ...]`` of the members for inputs ``[P, S]``, by key."""
-        bound = self._bound(inputs)
-        if bound is None:
-            return _leaves(self._vmapped(self._chosen(), inputs))
-        outputs = bound.run(*_leaves(inputs).values())
-        return dict(zip(self._prefix.out_keys, outputs, strict=True))
-
-    def _run_of(self, inputs: TensorDictBase, parts: int, run_all: Any) -> Any:
-        """A function that gives actions and whether they are numbers, or None."""
-        length = -(-len(inputs) // parts)
-        begins = range(0, len(inputs), length)
-        bound: list[_Bound] = []
-        for begin, part in zip(begins, inputs.split(length), strict=True):
-            one = self._bound(part, slice(begin, begin + length), whole=True)
-            if one is None:
-                return None
-            bound.append(one)
-        runs = [each.run for each in bound]
-        if len(runs) == 1:
-            return runs[0]
-        # What one draws or writes, another may not be in the middle of.
-        if not all(each.is_pure for each in bound):
-            run_all = map
-
-        def run_parts(*values: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            split = zip(*(value.split(length) for value in values), strict=True)
-            outputs = run_all(lambda run, part: run(*part), runs, split)
-            return tuple(torch.cat(each) for each in zip(*outputs, strict=True))
-
-        return run_parts
-
-    def _bound(
-        self,
-        inputs: TensorDictBase,
-        members: slice = slice(None),
-        *,
-        whole: bool = False,
-    ) -> _Bound | None:
-        """The graph for inputs ``[P, S]`` of some members; None if there is none."""
-        # Without a fingerprint nobody knows what a graph would have outlived.
-        if not self.trace or self._fingerprint is None:
-            return None
-        values = _leaves(inputs)
-        # All that the operations depend on beside the numbers and the fingerprint.
-        kinds = tuple((name, x.shape, x.dtype) for name, x in values.items())
-        key = (kinds, exploration_type(), whole)
-        if key not in self._graphs:
-            run = self._run_whole if whole else self._run_prefix
-            self._graphs[key] = self._traced(run, inputs, members)
-        graph = self._graphs[key]
-        if graph is None:
-            return None
-        loaded = (*key, members.start)
-        if loaded not in self._loaded:
-            leaves = _leaves(self._chosen()[members]).values()
-            self._loaded[loaded] = _Bound(graph.bind(list(leaves)), graph.is_pure)
-        return self._loaded[loaded]
-
-    def _run_prefix(
-        self, params: TensorDictBase, inputs: TensorDictBase
-    ) -> list[torch.Tensor]:
-        out = self._vmapped(params, inputs)
-        return [out.get(key) for key in self._prefix.out_keys]
-
-    def _run_whole(
-        self, params: TensorDictBase, inputs: TensorDictBase
-    ) -> list[torch.Tensor]:
-        size = inputs.batch_size
-        out = self._vmapped(params, inputs).reshape(-1)
-        sums = [
-            value.sum(dim=tuple(range(1, value.ndim))) if value.ndim > 1 else value
-            for value in _leaves(out).values()
-            if value.dtype.is_floating_point
-        ]
-        # A sum is finite if all numbers are, unless it overflows: who sees that it is
-        # not looks at the numbers themselves. Infinity less infinity is not a number.
-        total = torch.stack(sums).sum(0) if len(sums) > 1 else sums[0]
-        finite = total - total == 0.0
-        rows = inputs.clone().reshape(-1).update(out)
-        for head in self._heads:
-            rows = head(rows)
-        return [rows[self.action_key].unflatten(0, size), finite.unflatten(0, size)]
-
-    def _traced(
-        self, run: Any, inputs: TensorDictBase, members: slice
-    ) -> TracedFunction | None:
-        """A function of genomes and inputs as a graph, or None if it is not one."""
-        genomes = self._chosen()[members]
-        params, count = _leaves(genomes), genomes.batch_size
-        leaves, size = _leaves(inputs), inputs.batch_size
-
-        def flat(constants: Tensors, values: Tensors) -> Tensors:
-            genomes = _nested(params, constants, count)
-            return run(genomes, _nested(leaves, values, size))
-
-        return trace(flat, list(params.values()), list(leaves.values()))
+        if self._may_trace:
+            outputs = self._graphs.outputs(self._chosen(), inputs)
+            if outputs is not None:
+                return dict(zip(self._prefix.out_keys, outputs, strict=True))
+        return leaves_of(self._vmapped(self._chosen(), inputs))
 
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
         # Tied weights have one name here, and functional_call knows the others.
         out: Any = functional_call(self._prefix, dict(params.items()), (inputs,))
         return out.select(*self._prefix.out_keys, strict=False)
-
-
-class _Bound(NamedTuple):
-    """A graph with the weights of some members."""
-
-    run: Callable[..., tuple[torch.Tensor, ...]]
-    is_pure: bool
-
-
-def _leaves(values: TensorDictBase) -> dict[Any, torch.Tensor]:
-    return dict(values.items(include_nested=True, leaves_only=True))
-
-
-def _nested(
-    names: Iterable[Any], values: Tensors, batch_size: torch.Size
-) -> TensorDictBase:
-    whole = TensorDict(batch_size=batch_size)
-    for name, value in zip(names, values, strict=True):
-        whole.set(name, value)
-    return whole

@@ -91,7 +91,8 @@ def plain_attributes(modules: Iterable[nn.Module]) -> Callable[[], tuple[Any, ..
         for name, value in vars(module).items()
         if isinstance(value, _PLAIN) and name not in _EVERY_MODULE_HAS
     ]
-    return lambda: tuple([attributes.get(name) for attributes, name in watched])
+    # Operators, not methods: this runs before every update.
+    return lambda: tuple([x[n] if n in x else None for x, n in watched])  # noqa: SIM401
 
 
 class _Fingerprint(pickle.Pickler):

@@ -271,7 +271,7 @@ def test_without_tracing_the_scores_are_the_same(actor_kind, actor_of, populatio
         env = NavigationEnv(task, 6, num_threads=1, seed=0)
         evaluator = evaluator_in(env, actor, **options)
         found = evaluator.evaluate(population, seeds=seeds)
-        graphs = evaluator.population._graphs
+        graphs = evaluator.population._graphs.graphs
         evaluator.close()
         return found, graphs
 
