@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -106,7 +106,7 @@ def why_one_by_one(
     vmapped: Callable[[TensorDictBase, TensorDictBase], TensorDictBase],
     params: TensorDictBase,
     inputs: TensorDictBase,
-) -> Reason | None:
+) -> Reason:
     """Compare members as a batch with members that act alone.
 
     Args:
@@ -116,16 +116,16 @@ def why_one_by_one(
         inputs: What members are shown, ``[P, S]``.
 
     Returns:
-        Why they must act one by one, nothing if they need not, None if no member's
-        parameters are numbers, which tells nothing.
+        Why they must act one by one; nothing if they need not.
 
     Raises:
         Exception: What the actor raises when it acts alone.
     """
-    chosen = _finite_members(params)[:_MEMBERS]
-    if len(chosen) == 0:
-        return None
-    params, shown = params[chosen], cast(Any, inputs[chosen][:, :_ROWS])
+    chosen = _finite_first(params)[:_MEMBERS]
+    # Weights that are no numbers tell nothing.
+    own: Any = params[chosen]
+    params = own.apply(lambda leaf: leaf.nan_to_num(0.0, 0.0, 0.0))
+    shown: Any = inputs[chosen][:, :_ROWS]
     with torch.random.fork_rng(devices=[]):
         members = make_members(actor, params)
         first = [_act(member, rows) for member, rows in zip(members, shown, strict=True)]
@@ -183,12 +183,13 @@ def _state(member: Any) -> tuple[Any, ...]:
     return fingerprint(member), *(digest(buffer) for buffer in member.buffers())
 
 
-def _finite_members(params: TensorDictBase) -> torch.Tensor:
+def _finite_first(params: TensorDictBase) -> torch.Tensor:
+    """All members, those whose parameters are numbers before the others."""
     finite = torch.ones(len(params), dtype=torch.bool)
     for value in params.values():
         if value.dtype.is_floating_point:
             finite &= torch.isfinite(value).reshape(len(params), -1).all(dim=1)
-    return finite.nonzero()[:, 0]
+    return finite.to(torch.int64).argsort(descending=True, stable=True)
 
 
 def _are_equal(one: Outputs, other: Outputs) -> bool:

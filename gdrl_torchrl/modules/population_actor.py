@@ -225,8 +225,6 @@ class PopulationActor:
         if key not in self._reasons:
             params = self._chosen()
             reason = why_one_by_one(self._actor, self._vmapped, params, inputs)
-            if reason is None:
-                return True  # nothing was learned: ask again
             if reason:
                 name = type(self.actor).__name__
                 _logger.warning("members of %s act one by one: %s", name, reason)

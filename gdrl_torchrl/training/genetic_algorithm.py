@@ -120,7 +120,8 @@ class GeneticAlgorithm(LivingPopulationHook):
         )
         if rank_scores(scores[keys.FITNESS]).max() == -torch.inf:
             raise FloatingPointError(
-                "fitness is NaN for every member: no policy gives numbers any more"
+                "fitness is NaN for every member: the actions of all, or their returns, "
+                "are no numbers"
             )
         self.population = next_truncated_generation(
             self.population,

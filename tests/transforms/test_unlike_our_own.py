@@ -282,3 +282,18 @@ def test_without_tracing_the_scores_are_the_same(actor_kind, actor_of, populatio
     for key in ("steps", "successes"):
         assert torch.equal(traced[key], plain[key])
     assert torch.allclose(traced["returns"], plain["returns"], atol=1e-5)
+
+
+def test_a_recurrent_policy_without_a_number_in_it_has_no_fitness(caplog):
+    from tests.contracts.policies import CASES
+
+    [case] = [case for case in CASES if case.name == "LSTM"]
+    actor, env = case.make()
+    population = stack_copies(genome_of(actor), 2)
+    population.apply_(lambda leaf: leaf.fill_(math.nan))
+    evaluator = evaluator_in(env, actor, max_steps=3)
+    assert torch.isnan(evaluator.evaluate(population)["fitness"]).all()
+    assert "actions are no numbers for 2" in caplog.text
+    population[1] = genome_of(actor)
+    fitness = evaluator.evaluate(population)["fitness"]
+    assert torch.isnan(fitness).tolist() == [True, False]
