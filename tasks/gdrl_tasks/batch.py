@@ -16,7 +16,7 @@ from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.quiet import quiet_engine
 from gdrl_tasks.seeds import Stream, episode_seeds
 from gdrl_tasks.shard import Shard
-from gdrl_tasks.task import NavigationTask, WorldIndex
+from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
 
 _logger = logging.getLogger(__name__)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
@@ -160,10 +160,13 @@ class BatchSimulation:
             What the step gave, for those worlds.
 
         Raises:
+            RuntimeError: If no episode is running in one of those worlds: it has ended,
+                or none has begun.
             ValueError: If ``action`` has the wrong shape or a discrete action is out
                 of range.
         """
         ids = self._checked_ids(ids)
+        check_running(ids, self.arrays["outcome"])
         action = self.task.spec.checked_action(action, len(ids))
         healthy = rows_are_sane(ids, self.qpos, self.qvel)
         if action.dtype.kind == "f":
@@ -178,14 +181,12 @@ class BatchSimulation:
         diverged = ~healthy
         with quiet_engine():
             diverged[rows] = self._advance(ids[rows])
-        was_running = self.arrays["outcome"][ids] == _RUNNING
         qpos = self.qpos[ids]
         reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
-        newly = diverged & was_running
-        if np.count_nonzero(newly):
-            self._report(ids[newly], action[newly])
+        if np.count_nonzero(diverged):
+            self._report(ids[diverged], action[diverged])
         terminated = outcome != _RUNNING
         truncated = (outcome == _TIMEOUT) & self.task.truncates_at_limit
         terminated &= ~truncated

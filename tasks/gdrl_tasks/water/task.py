@@ -198,6 +198,14 @@ class WaterTask(NavigationTask):
         state = (qpos, qvel, time_s, xfrc_applied[:, -1])
         return lambda ids: substep(ids, *state, *own, *constants)
 
+    def capsizes(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+    ) -> np.ndarray:
+        """Mask of hulls that heel or pitch by more than 90 degrees, ``[K]``."""
+        x, y = qpos[:, 4], qpos[:, 5]
+        # Their own vertical axis points down: 1 - 2 (x² + y²) < 0.
+        return x * x + y * y > 0.5
+
     def observe_extra(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
     ) -> dict[str, np.ndarray]:
