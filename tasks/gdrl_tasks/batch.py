@@ -14,7 +14,7 @@ from gdrl_tasks.divergence import DivergedWorld, StateMemory
 from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.quiet import quiet_engine
-from gdrl_tasks.seeds import Stream, episode_seeds
+from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
 from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
 
@@ -51,10 +51,12 @@ class BatchSimulation:
         task: The task.
         num_worlds: Number of worlds ``W``.
         num_threads: Threads of the simulation; 0 takes one per processor.
-        seed: Seed of the episodes that :meth:`reset` draws when it is given none.
+        seed: Seed of the episodes that :meth:`reset` draws when it is given none; None
+            takes another one every time.
 
     Attributes:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
+        seed: The seed, given or taken: with it the same episodes are drawn again.
         qpos: Generalised positions of all worlds, ``[W, nq]``; a write is the state at
             the next step.
         qvel: Generalised velocities of all worlds, ``[W, nv]``, likewise.
@@ -72,8 +74,14 @@ class BatchSimulation:
     """
 
     def __init__(
-        self, task: NavigationTask, num_worlds: int, *, num_threads: int = 0, seed: int = 0
+        self,
+        task: NavigationTask,
+        num_worlds: int,
+        *,
+        num_threads: int = 0,
+        seed: int | None = None,
     ) -> None:
+        seed = fresh_seed() if seed is None else seed
         counts = (("num_worlds", num_worlds, 1), ("num_threads", num_threads, 0))
         for name, value, least in (*counts, ("seed", seed, 0)):
             integer = isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -387,7 +387,7 @@ def test_a_world_whose_action_is_not_a_number_diverges_alone(env_of):
 
 
 def test_a_closed_environment_can_be_closed_again():
-    env = NavigationEnv(make_task("water", **WAVES), 2, num_threads=2)
+    env = NavigationEnv(make_task("water", **WAVES), 2, num_threads=2, seed=0)
     env.close()
     env.close(raise_if_closed=False)
     assert env.is_closed
