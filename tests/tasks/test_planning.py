@@ -68,8 +68,9 @@ def roll_by_task(task, physics, actions, num_substeps):
         discount = task.get_termination(physics)
         discount = 1.0 if discount is None else discount
         numbers = [task.get_reward(physics), discount, physics.time()]
-        rows.append([*observation, numbers, physics.data.qpos, physics.data.qvel])
-    return np.array([np.concatenate(row) for row in rows])
+        state = physics.data.qpos, physics.data.qvel
+        rows.append(np.concatenate([*observation, numbers, *state]))
+    return np.array(rows)
 
 
 @every_variant

@@ -33,8 +33,8 @@ class TaskPhysics(mujoco.Physics):
 
     task: NavigationTask
     arrays: WorldArrays
-    reward: float
-    diverged: bool
+    reward: float = 0.0
+    diverged: bool = False
     _apply_forces: Callable[[np.ndarray], None] | None = None
 
     @classmethod
@@ -88,6 +88,18 @@ class TaskPhysics(mujoco.Physics):
         """Put the engine at its initial state; the task's arrays stay."""
         self.diverged = False
         super().reset(keyframe_id)
+
+    def after_reset(self) -> None:
+        """Derive what belongs to the state, at the end of a reset."""
+        # Without actuation, which leaves the actuators' velocities at zero.
+        super().after_reset()
+        self._derive()
+
+    def _derive(self) -> None:
+        """Compute what a step begins with: what the one before derived at its end."""
+        if not self.diverged:
+            with quiet_engine():
+                engine.mj_step1(self.model.ptr, self.data.ptr)
 
     def begin_episode(self, seed: int) -> None:
         """Draw an episode and put the vehicle at its start, within a reset."""
@@ -156,10 +168,7 @@ class TaskPhysics(mujoco.Physics):
             _write_floats(value, part)
         self._write_model_fields()
         self._warnings[:] = 0
-        if not self.diverged:
-            # A step begins with what the one before has derived from its end.
-            with quiet_engine():
-                engine.mj_step1(self.model.ptr, self.data.ptr)
+        self._derive()
 
     def copy(self, share_model: bool = False) -> Self:
         """A copy that goes on by itself; it shares nothing but, if asked, the model."""
