@@ -123,3 +123,13 @@ def test_one_outcome_hides_the_others_in_order():
         happened = dict(zip(names, case, strict=True))
         first = next((name for name in order if happened[name]), "running")
         assert Outcome(int(result)).name.lower() == first
+
+
+def test_figures_and_videos_show_every_outcome():
+    from gdrl_torchrl.analysis import captions, style
+
+    names = {outcome.name.lower() for outcome in Outcome}
+    colours = style.OUTCOME_COLOURS
+    assert names == set(colours) == set(style.OUTCOME_DASHES)
+    assert names == set(captions._OUTCOME_COLOURS)
+    assert len(set(colours.values())) == len(names)

@@ -45,7 +45,7 @@ def load_triton() -> None:
     mode = ctypes.DEFAULT_MODE
     # Only then: a replaced malloc does not go together with symbols of one's own.
     if _mesa_is_loaded():
-        mode |= os.RTLD_DEEPBIND
+        mode |= getattr(os, "RTLD_DEEPBIND", 0)
     with contextlib.suppress(OSError):
         ctypes.CDLL(str(Path(triton.origin).with_name("_C") / "libtriton.so"), mode=mode)
 
