@@ -107,6 +107,15 @@ def free_body_pose(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def upside_down(qpos: np.ndarray) -> np.ndarray:
+    """Mask of bodies, their free joint first, whose own z axis points down, ``[K]``."""
+    down = np.empty(len(qpos), dtype=np.bool_)
+    for k in range(len(qpos)):
+        down[k] = 1.0 - 2.0 * (qpos[k, 4] * qpos[k, 4] + qpos[k, 5] * qpos[k, 5]) < 0.0
+    return down
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def observe_goal(
     ids: np.ndarray,
     position: np.ndarray,

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gdrl_tasks.kernels import upside_down
 from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
@@ -202,9 +203,7 @@ class WaterTask(NavigationTask):
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
     ) -> np.ndarray:
         """Mask of hulls that heel or pitch by more than 90 degrees, ``[K]``."""
-        x, y = qpos[:, 4], qpos[:, 5]
-        # Their own vertical axis points down: 1 - 2 (x² + y²) < 0.
-        return x * x + y * y > 0.5
+        return upside_down(qpos)
 
     def observe_extra(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
