@@ -173,7 +173,8 @@ def measure_task(name: str, options: argparse.Namespace) -> list[list[float]]:
     Raises:
         RuntimeError: If EvoTorch did not make the episodes that it was to make.
     """
-    env = NavigationEnv(make_task(name), MEMBERS * EPISODES, num_threads=options.threads)
+    worlds, threads = MEMBERS * EPISODES, options.threads
+    env = NavigationEnv(make_task(name), worlds, num_threads=threads, seed=0)
     actor, population = make_population(name)
     evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
     problem, batch = make_problem(name)

@@ -63,7 +63,7 @@ class Cell:
 
     def evaluator(self, worlds: int, threads: int) -> PopulationEvaluator:
         """An evaluator with worlds and threads of its own."""
-        env = NavigationEnv(self.task, worlds, num_threads=threads)
+        env = NavigationEnv(self.task, worlds, num_threads=threads, seed=0)
         return PopulationEvaluator(
             self.actor, num_episodes=self.episodes, create_env_fn=lambda: env
         )

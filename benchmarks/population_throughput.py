@@ -60,7 +60,7 @@ def evaluator_and_engine(name: str, threads: int, repeats: int) -> list[list[flo
     """
     task, worlds = make_task(name), MEMBERS * EPISODES
     spec = task.spec
-    env = NavigationEnv(task, worlds, num_threads=threads)
+    env = NavigationEnv(task, worlds, num_threads=threads, seed=0)
     actor, population = make_population(name)
     evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
     whole = Batch(mujoco.MjModel.from_xml_string(task.xml()), worlds, threads)

@@ -24,7 +24,7 @@ torch.manual_seed(0)
 
 # %% The worlds: one for every member and episode.
 task = make_task("water", sea="lake", step_limit=10 if smoke else 160)
-env = NavigationEnv(task, num_worlds=(1 + children) * episodes)
+env = NavigationEnv(task, num_worlds=(1 + children) * episodes, seed=0)
 print(f"{env.batch_size[0]} worlds, observation {list(task.spec.observation)}")
 
 # %% A policy, and a population of it: a copy, then children with mutated weights.

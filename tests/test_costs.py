@@ -102,7 +102,7 @@ def test_calls_per_step_of_an_evaluation_do_not_grow_with_the_population(name):
         evaluator = PopulationEvaluator(
             actor,
             num_episodes=2,
-            create_env_fn=lambda: NavigationEnv(task, 2 * members, num_threads=1),
+            create_env_fn=lambda: NavigationEnv(task, 2 * members, num_threads=1, seed=0),
         )
         population = stack_copies(genome_of(actor), members)
         seeds = torch.arange(2)
@@ -122,7 +122,7 @@ def test_memory_of_an_evaluation_does_not_grow_with_steps():
         evaluator = PopulationEvaluator(
             actor,
             num_episodes=4,
-            create_env_fn=lambda: NavigationEnv(task, 16, num_threads=1),
+            create_env_fn=lambda: NavigationEnv(task, 16, num_threads=1, seed=0),
         )
         population = stack_copies(genome_of(actor), 4)
         # The same episodes twice: what is traced once for a shape is there by then.
@@ -141,7 +141,7 @@ def test_memory_of_an_evaluation_does_not_grow_with_steps():
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_calls_per_step_of_a_simulation_do_not_grow_with_worlds(name):
     def calls(worlds):
-        simulation = simulate(name, num_worlds=worlds, num_threads=1)
+        simulation = simulate(name, num_worlds=worlds, num_threads=1, seed=0)
         simulation.reset()
         spec = simulation.task.spec
         action = torch.zeros(worlds, dtype=torch.int64).numpy()

@@ -13,11 +13,12 @@ from gdrl_torchrl.analysis import style
 _BACKGROUND = "#1d2a33"
 _TEXT = "#f2f5f7"
 _FAINT = "#9fb0bb"
-# The figures' green, vermilion and purple, lighter: they stand on a dark bar.
+# The figures' colours, lighter: they stand on a dark bar.
 _OUTCOME_COLOURS = style.OUTCOME_COLOURS | {
     "success": "#35d0a0",
     "timeout": "#ff8a3d",
     "collision": "#e8a3c8",
+    "capsized": "#6db8ea",
     "diverged": "#ffffff",
     "running": _FAINT,
 }

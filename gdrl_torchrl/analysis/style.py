@@ -23,6 +23,7 @@ OUTCOME_COLOURS = {
     "success": GREEN,
     "timeout": VERMILION,
     "collision": PURPLE,
+    "capsized": BLUE,
     "diverged": "#000000",
     "running": GREY,
 }
@@ -30,6 +31,7 @@ OUTCOME_DASHES = {
     "success": "-",
     "timeout": (0, (5, 2)),
     "collision": (0, (1, 1)),
+    "capsized": (0, (5, 1, 1, 1)),
     "diverged": (0, (1, 2)),
     "running": "-",
 }

@@ -12,6 +12,7 @@ from torchrl.envs import DMControlWrapper
 
 from gdrl_tasks import NavigationTask, Outcome
 from gdrl_tasks.dm_env import make_environment
+from gdrl_tasks.task import check_running
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.navigation import action_spec, flag_spec
 
@@ -27,7 +28,7 @@ class NavigationDMControlEnv(DMControlWrapper):
 
     Args:
         task: The task.
-        seed: Seed of its episodes.
+        seed: Seed of its episodes; None takes another one every time.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -101,5 +102,7 @@ class NavigationDMControlEnv(DMControlWrapper):
         return super()._reset(tensordict, **kwargs)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        # dm_control would begin a new episode, whose first step has no reward.
+        check_running(np.zeros(1, dtype=np.int64), self._env.task.arrays["outcome"])
         out = super()._step(tensordict)
         return out.set(keys.REWARD, out[keys.REWARD].to(torch.float32))

@@ -23,7 +23,7 @@ def make_env(
     *,
     backend: Backend = "batch",
     num_threads: int = 0,
-    seed: int = 0,
+    seed: int | None = None,
     on_divergence: OnDivergence = None,
 ) -> EnvBase:
     """Make an environment of batch size ``[num_worlds]``.
@@ -35,7 +35,7 @@ def make_env(
             that many dm_control environments in this process, one after another.
         num_threads: Simulation threads of the ``batch`` backend; 0 takes one per
             processor.
-        seed: Seed of the episodes.
+        seed: Seed of the episodes; None takes another one every time.
         on_divergence: See :data:`OnDivergence`.
 
     Raises:
@@ -58,8 +58,6 @@ def make_env(
     # dm_control takes a second to import, and nothing else here needs it.
     from gdrl_torchrl.envs.dm_control import NavigationDMControlEnv
 
-    makers = [
-        functools.partial(NavigationDMControlEnv, task, seed=seed * 1000 + world)
-        for world in range(num_worlds)
-    ]
+    seeds = [None if seed is None else seed * 1000 + n for n in range(num_worlds)]
+    makers = [functools.partial(NavigationDMControlEnv, task, seed=own) for own in seeds]
     return SerialEnv(num_worlds, makers)

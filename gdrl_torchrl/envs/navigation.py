@@ -11,6 +11,7 @@ from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
+from gdrl_tasks.seeds import fresh_seed
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.record import RECORDED, make_entries
 
@@ -32,7 +33,8 @@ class NavigationEnv(EnvBase):
         task: The task.
         num_worlds: Number of worlds ``W``.
         num_threads: Simulation threads; 0 takes one per processor.
-        seed: Seed of the episodes that begin without a given seed.
+        seed: Seed of the episodes that begin without a given seed; None takes another
+            one every time (``env.simulation.seed``).
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -50,7 +52,7 @@ class NavigationEnv(EnvBase):
         num_worlds: int,
         *,
         num_threads: int = 0,
-        seed: int = 0,
+        seed: int | None = None,
     ) -> None:
         super().__init__(batch_size=torch.Size([max(num_worlds, 0)]), device="cpu")
         self.simulation = BatchSimulation(
@@ -152,7 +154,7 @@ class NavigationEnv(EnvBase):
         return self.simulation.observe().astype(np.float32)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.simulation.seed = seed or 0
+        self.simulation.seed = fresh_seed() if seed is None else seed
         self.simulation.num_episodes_begun = 0
 
     def get_state(self) -> dict[str, torch.Tensor]:

@@ -63,6 +63,7 @@ def evaluate_policy(
             worlds,
             backend=backend,
             num_threads=num_threads,
+            seed=0,  # of no episode: each is given its own
             on_divergence=on_divergence,
         ),
         extra_keys=(keys.PATH_LENGTH, keys.SHORTEST_PATH),
@@ -88,6 +89,7 @@ def evaluate_policy(
         "success_rate": rate(Outcome.SUCCESS),
         "collision_rate": rate(Outcome.COLLISION),
         "timeout_rate": rate(Outcome.TIMEOUT),
+        "capsized_rate": rate(Outcome.CAPSIZED),
         "diverged_rate": rate(Outcome.DIVERGED),
         "spl": float(np.mean(spl)),
         "return_mean": float(result[keys.RETURN_MEAN]),

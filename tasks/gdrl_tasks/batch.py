@@ -14,9 +14,9 @@ from gdrl_tasks.divergence import DivergedWorld, StateMemory
 from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.quiet import quiet_engine
-from gdrl_tasks.seeds import Stream, episode_seeds
+from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
 from gdrl_tasks.shard import Shard
-from gdrl_tasks.task import NavigationTask, WorldIndex
+from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
 
 _logger = logging.getLogger(__name__)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
@@ -51,10 +51,12 @@ class BatchSimulation:
         task: The task.
         num_worlds: Number of worlds ``W``.
         num_threads: Threads of the simulation; 0 takes one per processor.
-        seed: Seed of the episodes that :meth:`reset` draws when it is given none.
+        seed: Seed of the episodes that :meth:`reset` draws when it is given none; None
+            takes another one every time.
 
     Attributes:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
+        seed: The seed, given or taken: with it the same episodes are drawn again.
         qpos: Generalised positions of all worlds, ``[W, nq]``; a write is the state at
             the next step.
         qvel: Generalised velocities of all worlds, ``[W, nv]``, likewise.
@@ -72,8 +74,14 @@ class BatchSimulation:
     """
 
     def __init__(
-        self, task: NavigationTask, num_worlds: int, *, num_threads: int = 0, seed: int = 0
+        self,
+        task: NavigationTask,
+        num_worlds: int,
+        *,
+        num_threads: int = 0,
+        seed: int | None = None,
     ) -> None:
+        seed = fresh_seed() if seed is None else seed
         counts = (("num_worlds", num_worlds, 1), ("num_threads", num_threads, 0))
         for name, value, least in (*counts, ("seed", seed, 0)):
             integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -160,10 +168,13 @@ class BatchSimulation:
             What the step gave, for those worlds.
 
         Raises:
+            RuntimeError: If no episode is running in one of those worlds: it has ended,
+                or none has begun.
             ValueError: If ``action`` has the wrong shape or a discrete action is out
                 of range.
         """
         ids = self._checked_ids(ids)
+        check_running(ids, self.arrays["outcome"])
         action = self.task.spec.checked_action(action, len(ids))
         healthy = rows_are_sane(ids, self.qpos, self.qvel)
         if action.dtype.kind == "f":
@@ -178,14 +189,12 @@ class BatchSimulation:
         diverged = ~healthy
         with quiet_engine():
             diverged[rows] = self._advance(ids[rows])
-        was_running = self.arrays["outcome"][ids] == _RUNNING
         qpos = self.qpos[ids]
         reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
         outcome = self.arrays["outcome"][ids]
-        newly = diverged & was_running
-        if np.count_nonzero(newly):
-            self._report(ids[newly], action[newly])
+        if np.count_nonzero(diverged):
+            self._report(ids[diverged], action[diverged])
         terminated = outcome != _RUNNING
         truncated = (outcome == _TIMEOUT) & self.task.truncates_at_limit
         terminated &= ~truncated

@@ -2,98 +2,60 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import ctypes.util
-import importlib.util
-import os
-import sys
+import math
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-# Mesa's software driver and Triton (which tensordict loads) each carry an LLVM, and the
-# process survives only if Triton's comes first. Loading it needs no torch.
-_triton = importlib.util.find_spec("triton")
-if _triton is not None and _triton.origin is not None and "triton" not in sys.modules:
-    with contextlib.suppress(OSError):
-        ctypes.CDLL(str(Path(_triton.origin).with_name("_C") / "libtriton.so"))
+from gdrl_tasks.engines.opengl import prepare_opengl
 
-# Without a display dm_control would still choose GLFW, whose first frame then fails.
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    if "MUJOCO_GL" not in os.environ and ctypes.util.find_library("EGL"):
-        os.environ["MUJOCO_GL"] = "egl"
+prepare_opengl()
 
-from dm_control import mujoco
 from dm_control.rl import control
 from dm_control.suite import base
-from dm_env import specs
+from dm_env import TimeStep, specs
 
+from gdrl_tasks.engines.physics import TaskPhysics
 from gdrl_tasks.kernels import all_sane
 from gdrl_tasks.navigation import Outcome
-from gdrl_tasks.quiet import quiet_engine
-from gdrl_tasks.task import NavigationTask
+from gdrl_tasks.task import NOT_BEGUN, NavigationTask, TaskSpec, check_running
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
 _YES, _NO = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
-class TaskPhysics(mujoco.Physics):
-    """Physics that runs a callback before every substep and survives divergence."""
-
-    before_substep: Callable[[], None] | None = None
-    before_render: Callable[[], None] | None = None
-    diverged: bool = False
-
-    def step(self, nstep: int = 1) -> None:
-        """Advance by substeps; a physics error sets ``diverged`` and is not raised."""
-        if self.diverged:
-            return
-        # Not super().step(): its check of the warnings costs a tenth of a whole step.
-        with quiet_engine():
-            if self.before_substep is None:
-                self._step_with_up_to_date_position_velocity(nstep)
-            else:
-                for _ in range(nstep):
-                    self.before_substep()
-                    self._step_with_up_to_date_position_velocity(1)
-        # A reset clears the engine's counts.
-        self.diverged = any(self._warnings.tolist())
-
-    def render(self, *args: Any, **kwargs: Any) -> np.ndarray:
-        """Render, after the scenery was brought up to date."""
-        if self.before_render is not None:
-            self.before_render()
-        return super().render(*args, **kwargs)
-
-
 class SuiteTask(base.Task):
     """A :class:`NavigationTask` in the form that ``control.Environment`` runs.
 
+    Its methods act on the physics that they are given, so that a copy of an
+    environment's physics can be stepped by the environment's task.
+
+    Args:
+        physics: The world that an environment has.
+        random: Seed or state of the episodes; None takes another one every time.
+        flat_observation: Whether the environment concatenates the observations.
+
     Attributes:
         task: The task itself.
-        flat_observation: Whether the environment concatenates the observations.
-        arrays: Its arrays, for one world.
+        arrays: Its arrays for that world.
         next_episode_seed: Set it to choose the episode of the next reset.
     """
 
     def __init__(
         self,
-        task: NavigationTask,
+        physics: TaskPhysics,
         random: int | np.random.RandomState | None = None,
         *,
         flat_observation: bool = False,
     ) -> None:
         super().__init__(random=random)
-        self.task = task
+        self.task = physics.task
+        self.arrays = physics.arrays
         self.flat_observation = flat_observation
-        self.arrays = task.allocate(1)
         self.next_episode_seed: int | None = None
-        self._reward = 0.0
 
     def initialize_episode(self, physics: TaskPhysics) -> None:
         """Draw an episode and put the vehicle at its start."""
@@ -101,24 +63,17 @@ class SuiteTask(base.Task):
         if seed is None:
             seed = int(self.random.randint(2**31 - 1))
         self.next_episode_seed = None
-        episode = self.task.draw_episode(seed)
-        self.task.begin_episode(self.arrays, _ONE_WORLD, episode, seed)
-        physics.diverged = False
-        physics.data.qpos[:] = episode.qpos
-        physics.data.qvel[:] = episode.qvel
-        physics.data.mocap_pos[0, :2] = self.arrays["goal"][0]
-        if self.task.model_fields:
-            fields = {
-                name: getattr(physics.model, name)[None] for name in self.task.model_fields
-            }
-            self.task.write_model_fields(fields, self.arrays, _ONE_WORLD)
-        if self.task.has_substep_forces:
-            physics.before_substep = lambda: self._apply_forces(physics)
-        physics.before_render = lambda: self.task.draw_scenery(physics, self.arrays)
+        physics.begin_episode(seed)
         # Not super().initialize_episode(): it calls after_step, a step that never was.
 
     def before_step(self, action: Any, physics: TaskPhysics) -> None:
-        """Store the action; a world whose action is not finite diverges."""
+        """Store the action; a world whose action is not finite diverges.
+
+        Raises:
+            RuntimeError: If no episode has begun, or it has ended.
+            ValueError: If the action is none of the task's.
+        """
+        check_running(_ONE_WORLD, physics.arrays["outcome"])
         action = np.asarray(action)
         if self.task.spec.is_discrete and action.size == 1:
             action = action.reshape(())
@@ -127,70 +82,81 @@ class SuiteTask(base.Task):
         if not is_number or not _is_sane(physics):
             physics.diverged = True
             return
-        self.task.set_action(self.arrays, _ONE_WORLD, action)
-        if "control" in self.arrays:
-            physics.data.ctrl[:] = self.arrays["control"][0]
+        self.task.set_action(physics.arrays, _ONE_WORLD, action)
+        if "control" in physics.arrays:
+            physics.data.ctrl[:] = physics.arrays["control"][0]
 
     def after_step(self, physics: TaskPhysics) -> None:
         """Decide outcome and reward."""
         qpos = physics.data.qpos[None]
         diverged = _YES if physics.diverged or not _is_sane(physics) else _NO
-        reward = self.task.finish_step(self.arrays, _ONE_WORLD, qpos, diverged)
-        self._reward = float(reward[0])
+        reward = self.task.finish_step(physics.arrays, _ONE_WORLD, qpos, diverged)
+        physics.reward = float(reward[0])
 
     def action_spec(self, physics: TaskPhysics) -> specs.Array:
         """Commands in [-1, 1], or a discrete choice."""
         size = self.task.spec.action_size
         if self.task.spec.is_discrete:
             return specs.DiscreteArray(size, name="action")
-        return specs.BoundedArray((size,), np.float64, -1.0, 1.0, name="action")
+        low, high = np.full(size, -1.0), np.full(size, 1.0)
+        return _bounded(low, high, "action")
 
     def observation_spec(self, physics: TaskPhysics) -> OrderedDict[str, specs.Array]:
         """Bounded arrays by name."""
+        low, high = self.task.spec.observation_bounds
+        columns = self.task.spec.columns
         if self.flat_observation:
-            low, high = self.task.spec.observation_bounds
-            name = control.FLAT_OBSERVATION_KEY
-            spec = specs.BoundedArray(low.shape, np.float64, low, high, name=name)
-            return OrderedDict([(name, spec)])
-        observation = self.task.spec.observation.items()
+            columns = {control.FLAT_OBSERVATION_KEY: slice(None)}
         return OrderedDict(
-            (name, specs.BoundedArray((size,), np.float64, low, high, name=name))
-            for name, (size, low, high) in observation
+            (name, _bounded(low[where], high[where], name))
+            for name, where in columns.items()
         )
 
     def get_observation(self, physics: TaskPhysics) -> OrderedDict[str, np.ndarray]:
         """Named observations."""
         qpos, qvel = physics.data.qpos[None], physics.data.qvel[None]
-        flat = self.task.observe(self.arrays, _ONE_WORLD, qpos, qvel)[0]
+        flat = self.task.observe(physics.arrays, _ONE_WORLD, qpos, qvel)[0]
         columns = self.task.spec.columns.items()
         return OrderedDict((name, flat[where]) for name, where in columns)
 
     def get_reward(self, physics: TaskPhysics) -> float:
         """Reward of the last control step."""
-        return self._reward
+        return physics.reward
 
     def get_termination(self, physics: TaskPhysics) -> float | None:
         """None to go on; the discount at the end: 1 if truncated, else 0."""
-        outcome = self.arrays["outcome"][0]
+        outcome = physics.arrays["outcome"][0]
         if outcome == _RUNNING:
             return None
         return 1.0 if outcome == _TIMEOUT and self.task.truncates_at_limit else 0.0
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the episode so far."""
+        """Outcome of the episode so far.
+
+        Raises:
+            RuntimeError: If no episode has begun.
+        """
+        if self.arrays["outcome"][0] == NOT_BEGUN:
+            raise RuntimeError("no episode has begun: reset the environment first")
         return Outcome(int(self.arrays["outcome"][0]))
 
-    def _apply_forces(self, physics: TaskPhysics) -> None:
-        data = physics.data
-        self.task.apply_forces(
-            self.arrays,
-            _ONE_WORLD,
-            data.qpos[None],
-            data.qvel[None],
-            np.array([data.time]),
-            data.xfrc_applied[None],
-        )
+
+class NavigationEnvironment(control.Environment):
+    """A ``control.Environment`` whose episode ends with the outcome of its physics.
+
+    When an episode has ended and the physics are set back to before its end, that
+    episode goes on; ``control.Environment`` would begin a new one.
+    """
+
+    def step(self, action: Any) -> TimeStep:
+        """Make a control step, or begin an episode where none is running."""
+        self._reset_next_step = self.physics.arrays["outcome"][0] != _RUNNING
+        return super().step(action)
+
+
+def _bounded(low: np.ndarray, high: np.ndarray, name: str) -> specs.BoundedArray:
+    return specs.BoundedArray(low.shape, np.float64, low, high, name=name)
 
 
 def _is_sane(physics: TaskPhysics) -> bool:
@@ -207,11 +173,38 @@ def make_environment(
 
     The step limit is the task's own: the environment has no time limit, because
     ``control.Environment`` never asks for the termination of its last allowed step.
+
+    Args:
+        task: The task.
+        random: Seed or state of the episodes; None takes another one every time.
+        environment_kwargs: Arguments of ``control.Environment``.
+
+    Raises:
+        ValueError: If one of them contradicts the task.
     """
-    kwargs: dict[str, Any] = {"n_sub_steps": task.spec.num_substeps}
-    kwargs |= dict(environment_kwargs or {})
-    physics = TaskPhysics.from_xml_string(task.xml())
+    kwargs = dict(environment_kwargs or {})
+    _check_times(task.spec, kwargs)
+    kwargs.pop("control_timestep", None)
+    kwargs["n_sub_steps"] = task.spec.num_substeps
+    physics = TaskPhysics.of_task(task)
     suite_task = SuiteTask(
-        task, random, flat_observation=kwargs.get("flat_observation", False)
+        physics, random, flat_observation=kwargs.get("flat_observation", False)
     )
-    return control.Environment(physics, suite_task, **kwargs)
+    return NavigationEnvironment(physics, suite_task, **kwargs)
+
+
+def _check_times(spec: TaskSpec, kwargs: Mapping[str, Any]) -> None:
+    interval, substep = spec.control_interval_s, spec.substep_s
+    times = f"control_interval_s={interval} and substep_s={substep}"
+    limit = f"step_limit={spec.step_limit}"
+    for name, own, options in (
+        ("n_sub_steps", spec.num_substeps, times),
+        ("control_timestep", interval, times),
+        ("time_limit", math.inf, limit),
+    ):
+        value = kwargs.get(name)
+        if value is not None and value != own:
+            raise ValueError(
+                f"environment_kwargs {name}={value!r} contradicts the task, which has "
+                f"{own}: change its options {options} instead"
+            )

@@ -19,6 +19,7 @@ _SUCCESS = int(Outcome.SUCCESS)
 _COLLISION = int(Outcome.COLLISION)
 _TIMEOUT = int(Outcome.TIMEOUT)
 _DIVERGED = int(Outcome.DIVERGED)
+_CAPSIZED = int(Outcome.CAPSIZED)
 LARGEST_STATE = 1e6
 """A larger number in a state, or what is not a number, is not to be believed."""
 
@@ -106,6 +107,15 @@ def free_body_pose(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def upside_down(qpos: np.ndarray) -> np.ndarray:
+    """Mask of bodies, their free joint first, whose own z axis points down, ``[K]``."""
+    down = np.empty(len(qpos), dtype=np.bool_)
+    for k in range(len(qpos)):
+        down[k] = 1.0 - 2.0 * (qpos[k, 4] * qpos[k, 4] + qpos[k, 5] * qpos[k, 5]) < 0.0
+    return down
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def observe_goal(
     ids: np.ndarray,
     position: np.ndarray,
@@ -128,23 +138,19 @@ def observe_goal(
 def finish(
     ids: np.ndarray,
     now: np.ndarray,
-    collided: np.ndarray,
-    diverged: np.ndarray,
+    masks: tuple[np.ndarray, np.ndarray, np.ndarray],
     limits: tuple[float, int, float, bool],
-    goal: np.ndarray,
-    position: np.ndarray,
-    distance: np.ndarray,
-    path_length: np.ndarray,
-    episode_return: np.ndarray,
-    steps: np.ndarray,
-    outcome: np.ndarray,
+    arrays: tuple[np.ndarray, ...],
 ) -> np.ndarray:
     """Outcomes and rewards of worlds ``ids`` after a control step, ``[K]``.
 
-    ``now`` ``[K, 2]`` is where they are, ``limits`` are tolerance, step limit, weight
-    of progress and whether the limit truncates; the rest are arrays of all worlds.
+    ``now`` ``[K, 2]`` is where they are, ``masks`` ``[K]`` are who has collided,
+    diverged and capsized, ``limits`` are tolerance, step limit, weight of progress and
+    whether the limit truncates, and ``arrays`` of all worlds are written.
     """
+    collided, diverged, capsized = masks
     tolerance, step_limit, weight, truncates = limits
+    goal, position, distance, path_length, episode_return, steps, outcome = arrays
     rewards = np.zeros(len(ids))
     for k in range(len(ids)):
         w = ids[k]
@@ -163,6 +169,8 @@ def finish(
         result = 0
         if diverged[k]:
             result = _DIVERGED
+        elif capsized[k]:
+            result = _CAPSIZED
         elif nearest <= tolerance:
             result = _SUCCESS
         elif collided[k]:

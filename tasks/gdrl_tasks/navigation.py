@@ -20,6 +20,7 @@ class Outcome(enum.IntEnum):
     COLLISION = 2
     TIMEOUT = 3
     DIVERGED = 4
+    CAPSIZED = 5
 
 
 def goal_polar(position: Any, yaw: Any, goal: Any) -> tuple[Any, Any]:
@@ -75,17 +76,20 @@ def segment_distance(start: Any, end: Any, point: Any) -> Any:
     return xp.hypot(gap[..., 0], gap[..., 1])
 
 
-def decide_outcome(reached: Any, collided: Any, timed_out: Any, diverged: Any) -> Any:
-    """One outcome per world from four masks ``[W]``, as :class:`Outcome` integers.
+def decide_outcome(
+    reached: Any, collided: Any, timed_out: Any, diverged: Any, capsized: Any
+) -> Any:
+    """One outcome per world from five masks ``[W]``, as :class:`Outcome` integers.
 
-    Divergence hides everything (its positions mean nothing); then the goal wins over
-    a collision and over a time limit met in the same control step.
+    Divergence hides everything (its positions mean nothing); then to have capsized
+    wins over the goal (a vessel upside down has not arrived), and the goal over a
+    collision and a time limit met in the same control step.
 
     Examples:
         >>> import numpy as np
         >>> yes, no = np.array([True]), np.array([False])
-        >>> decide_outcome(yes, no, yes, no)
-        array([1])
+        >>> decide_outcome(yes, no, yes, no, no), decide_outcome(yes, no, yes, no, yes)
+        (array([1]), array([5]))
     """
     xp = array_namespace(reached)
     outcome = xp.zeros(reached.shape, dtype=xp.int64)
@@ -93,6 +97,7 @@ def decide_outcome(reached: Any, collided: Any, timed_out: Any, diverged: Any) -
         (timed_out, Outcome.TIMEOUT),
         (collided, Outcome.COLLISION),
         (reached, Outcome.SUCCESS),
+        (capsized, Outcome.CAPSIZED),
         (diverged, Outcome.DIVERGED),
     ):
         outcome = xp.where(mask, xp.full_like(outcome, int(value)), outcome)

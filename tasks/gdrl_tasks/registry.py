@@ -118,10 +118,15 @@ def load(
 
     Args:
         name: One of :func:`task_names`.
-        random: Seed or state of the episodes, as in ``dm_control.suite``.
+        random: Seed or state of the episodes, as in ``dm_control.suite``; None takes
+            another one every time.
         environment_kwargs: Arguments of ``control.Environment``, such as
-            ``flat_observation``.
+            ``flat_observation``; times are options of the task.
         **options: Options of the task.
+
+    Raises:
+        ValueError: If the task or an option is unknown, a value is out of range, or
+            ``environment_kwargs`` contradict the task.
 
     Examples:
         >>> environment = load("water", random=0)
@@ -139,7 +144,12 @@ def load(
 
 
 def simulate(
-    name: str, *, num_worlds: int, num_threads: int = 0, seed: int = 0, **options: Any
+    name: str,
+    *,
+    num_worlds: int,
+    num_threads: int = 0,
+    seed: int | None = None,
+    **options: Any,
 ) -> BatchSimulation:
     """Make many worlds of a task on ``mujoco.batch``.
 
@@ -147,7 +157,8 @@ def simulate(
         name: One of :func:`task_names`.
         num_worlds: Number of worlds.
         num_threads: Threads; 0 takes one per processor.
-        seed: Seed of the episodes drawn by ``reset()``.
+        seed: Seed of the episodes drawn by ``reset()``; None takes another one every time
+            (it is the ``seed`` of what is returned).
         **options: Options of the task.
     """
     from gdrl_tasks.batch import BatchSimulation

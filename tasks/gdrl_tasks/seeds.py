@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import functools
+import secrets
 from operator import index
 
 import numpy as np
@@ -53,6 +54,11 @@ def episode_seeds(stream: Stream, seed: int, start: int, count: int) -> np.ndarr
     blocks = [divmod(number, _BLOCK) for number in range(start, start + count)]
     seeds = [_block_of_seeds(int(stream), index(seed), block)[i] for block, i in blocks]
     return np.array(seeds, dtype=np.int64)
+
+
+def fresh_seed() -> int:
+    """A seed that differs every time, in [0, 2**63): from the system's entropy."""
+    return secrets.randbits(63)
 
 
 @functools.lru_cache(maxsize=64)

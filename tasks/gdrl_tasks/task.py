@@ -26,9 +26,24 @@ from gdrl_tasks.kernels import (
     free_body_pose,
     observe_goal,
 )
+from gdrl_tasks.navigation import Outcome
 
 WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
+
+NOT_BEGUN = -1
+"""What a world has in its outcome's place before its first episode."""
+
+_WRITTEN = (
+    "goal",
+    "position",
+    "distance",
+    "path_length",
+    "episode_return",
+    "steps",
+    "outcome",
+)
+"""Arrays that :func:`~gdrl_tasks.kernels.finish` reads and writes, in its order."""
 
 WorldIndex = np.ndarray
 """Indices of the worlds that a call acts on, ``[K]``, int64, ascending."""
@@ -282,7 +297,7 @@ class NavigationTask(abc.ABC):
             "episode_number": np.zeros(n, dtype=np.int64),
             "episode_seed": np.zeros(n, dtype=np.int64),
             "steps": np.zeros(n, dtype=np.int64),
-            "outcome": np.zeros(n, dtype=np.int64),
+            "outcome": np.full(n, NOT_BEGUN, dtype=np.int64),
         }
         return arrays | self.extra_arrays(n)
 
@@ -325,21 +340,18 @@ class NavigationTask(abc.ABC):
         reward = finish(
             ids,
             position,
-            self.collides(arrays, ids, position, yaw),
-            diverged,
+            (
+                self.collides(arrays, ids, position, yaw),
+                diverged,
+                self.capsizes(arrays, ids, qpos),
+            ),
             (
                 self.goal_tolerance_m,
                 self.spec.step_limit,
                 self.progress_weight,
                 self.truncates_at_limit,
             ),
-            arrays["goal"],
-            arrays["position"],
-            arrays["distance"],
-            arrays["path_length"],
-            arrays["episode_return"],
-            arrays["steps"],
-            arrays["outcome"],
+            tuple([arrays[name] for name in _WRITTEN]),
         )
         self.sense(arrays, ids, position, yaw)
         return reward
@@ -348,6 +360,21 @@ class NavigationTask(abc.ABC):
         self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> np.ndarray:
         """Mask of worlds in collision, ``[K]``; open water has none."""
+        return np.zeros(len(ids), dtype=bool)
+
+    def capsizes(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+    ) -> np.ndarray:
+        """Mask of worlds whose vehicle is upside down, ``[K]``; on wheels none is.
+
+        To have capsized ends an episode as a collision does, whatever else has happened
+        in the same control step.
+
+        Args:
+            arrays: Arrays of all worlds.
+            ids: The worlds.
+            qpos: Their generalised positions, ``[K, nq]``; zeros where they diverged.
+        """
         return np.zeros(len(ids), dtype=bool)
 
     def observe(
@@ -370,6 +397,20 @@ class NavigationTask(abc.ABC):
     @abc.abstractmethod
     def distance_scale_m(self) -> float:
         """Distance that is observed as 1."""
+
+
+def check_running(ids: WorldIndex, outcome: np.ndarray) -> None:
+    """Raise RuntimeError unless an episode is running in all worlds ``ids`` ``[K]``."""
+    chosen = outcome[ids]
+    if not np.count_nonzero(chosen):
+        return
+    stopped = ids[chosen != int(Outcome.RUNNING)]
+    first = int(outcome[stopped[0]])
+    why = "none has begun" if first == NOT_BEGUN else f"it ended: {Outcome(first).name}"
+    raise RuntimeError(
+        f"no episode is running in {len(stopped)} of {len(ids)} worlds "
+        f"(world {stopped[0]}: {why}): reset them, or leave them out of the step"
+    )
 
 
 def believable(state: np.ndarray) -> np.ndarray:

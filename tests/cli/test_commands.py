@@ -43,6 +43,7 @@ EVALUATION_KEYS = [
     "success_rate",
     "collision_rate",
     "timeout_rate",
+    "capsized_rate",
     "diverged_rate",
     "spl",
     "return_mean",
@@ -143,8 +144,8 @@ def check_the_evaluation(path):
     assert record["total_steps"] == 3200 + record["population_steps"]
     assert record["evaluations"] >= record["switches"] >= 0
     assert record["evaluations"] >= 1
-    rates = [record[f"{name}_rate"] for name in ("success", "collision", "timeout")]
-    assert sum(rates) + record["diverged_rate"] == pytest.approx(1.0)
+    names = ("success", "collision", "timeout", "capsized", "diverged")
+    assert sum(record[f"{name}_rate"] for name in names) == pytest.approx(1.0)
     assert record["time_s_mean"] == pytest.approx(0.25 * record["steps_mean"])
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.collectors import Collector
+from torchrl.envs import ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
 from gdrl_tasks import Outcome, Stream, make_task
@@ -226,6 +228,59 @@ def test_episodes_that_are_not_chosen_are_of_the_training_stream(env_of):
     assert (env.reset()["episode_seed"] == third).all()
 
 
+def test_without_a_seed_every_environment_plays_other_episodes_that_can_be_played_again():
+    task = make_task("water", **WAVES)
+    first, second = (NavigationEnv(task, 3, num_threads=1) for _ in range(2))
+    one, other = (env.reset()["episode_seed"] for env in (first, second))
+    assert len(set(one.flatten().tolist()) | set(other.flatten().tolist())) == 6
+    again = NavigationEnv(task, 3, num_threads=1, seed=first.simulation.seed)
+    assert (again.reset()["episode_seed"] == one).all()
+    first.set_seed(7), second.set_seed(7)
+    assert (first.reset()["episode_seed"] == second.reset()["episode_seed"]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_two_workers_without_a_seed_play_other_episodes(backend):
+    task = make_task("water", **WAVES)
+    workers = ParallelEnv(2, lambda: make_env(task, 2, backend=backend, num_threads=1))
+    try:
+        start = workers.reset()
+        assert len(set(start["episode_seed"].flatten().tolist())) == 4
+        assert len(set(start["observation"][..., 1].flatten().tolist())) == 4
+    finally:
+        workers.close()
+
+
+# Ends
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_a_step_before_the_first_reset_is_an_error(backend, env_of):
+    env = env_of(1, backend=backend)
+    start = TensorDict(action=env.action_spec.zero(), batch_size=[1])
+    with pytest.raises(RuntimeError, match="none has begun"):
+        env.step(start)
+
+
+def test_a_world_that_has_ended_is_not_stepped_on(env_of):
+    env = env_of(3, step_limit=2)
+    state = walk(env, env.reset(), random_steps(env, 2))[-1].clone()
+    assert state["done"].all()
+    before = env.get_state()
+    with pytest.raises(RuntimeError, match=r"3 of 3 worlds \(world 0: it ended: TIMEOUT\)"):
+        env.step(state.set("action", env.action_spec.zero()))
+    for name, value in env.get_state().items():
+        assert torch.equal(value, before[name]), name
+    # The others go on beside it.
+    mask = torch.tensor([[True], [False], [True]])
+    state = env.reset(state.set("_reset", mask))
+    state.set("action", env.action_spec.zero()).set("_step", mask[:, 0])
+    following = env.step(state)["next"]
+    assert following["done"][:, 0].tolist() == [False, True, False]
+    assert following["reward"][1] == 0.0
+
+
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
 @pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
 def test_the_step_limit_terminates_or_truncates(at_limit, backend, env_of):
@@ -387,7 +442,7 @@ def test_a_world_whose_action_is_not_a_number_diverges_alone(env_of):
 
 
 def test_a_closed_environment_can_be_closed_again():
-    env = NavigationEnv(make_task("water", **WAVES), 2, num_threads=2)
+    env = NavigationEnv(make_task("water", **WAVES), 2, num_threads=2, seed=0)
     env.close()
     env.close(raise_if_closed=False)
     assert env.is_closed

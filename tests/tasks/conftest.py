@@ -28,7 +28,9 @@ def indoor_at() -> Callable[..., gdrl_tasks.BatchSimulation]:
         poses = np.asarray(poses, dtype=float)
         count = len(poses)
         defaults = {"num_threads": 1, "step_limit": 10**6}
-        worlds = gdrl_tasks.simulate("indoor", num_worlds=count, **defaults | options)
+        worlds = gdrl_tasks.simulate(
+            "indoor", num_worlds=count, seed=0, **defaults | options
+        )
         worlds.reset(seeds=np.arange(count))
         state = worlds.get_state()
         places = state["arrays.obstacles"]

@@ -20,7 +20,7 @@ def success_rate(name, policy_of, **options):
 
     ``policy_of(worlds)`` gives the policy, ``policy(observation, episodes)``.
     """
-    worlds = gdrl_tasks.simulate(name, num_worlds=NUM_EPISODES, **options)
+    worlds = gdrl_tasks.simulate(name, num_worlds=NUM_EPISODES, seed=0, **options)
     observation = worlds.reset(seeds=episode_seeds(Stream.CONTROLLER, 0, 0, NUM_EPISODES))
     policy = policy_of(worlds)
     running = np.arange(NUM_EPISODES)

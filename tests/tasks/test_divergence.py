@@ -62,7 +62,7 @@ def silence(tmp_path, monkeypatch, capfd):
 
 def started(name, num_threads=1, **options):
     worlds = gdrl_tasks.simulate(
-        name, num_worlds=NUM_WORLDS, num_threads=num_threads, **options
+        name, num_worlds=NUM_WORLDS, num_threads=num_threads, seed=0, **options
     )
     worlds.reset()
     return worlds
@@ -142,13 +142,19 @@ def test_a_diverged_world_stays_diverged_until_its_reset(injure, name, silence):
     worlds = started(name)
     action = random_actions(worlds.task, (NUM_WORLDS,))
     injure(worlds.qpos[7], worlds.qvel[7])
-    for _ in range(3):
-        result = worlds.step(action)
-        assert result.outcome[7] == Outcome.DIVERGED
-        assert np.isfinite(result.observation).all()
+    result = worlds.step(action)
+    assert result.outcome[7] == Outcome.DIVERGED
+    assert np.isfinite(result.observation).all()
+    others = np.delete(np.arange(NUM_WORLDS), 7)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="world 7: it ended: DIVERGED"):
+            worlds.step(action)
+        worlds.step(action[others], others)
+        assert worlds.arrays["outcome"][7] == Outcome.DIVERGED
+        assert np.isfinite(worlds.observe()).all()
     seed = np.array([123])
     observation = worlds.reset(np.array([7]), seed)
-    fresh = gdrl_tasks.simulate(name, num_worlds=1, num_threads=1)
+    fresh = gdrl_tasks.simulate(name, num_worlds=1, num_threads=1, seed=0)
     np.testing.assert_array_equal(observation, fresh.reset(seeds=seed))
     for _ in range(5):
         result = worlds.step(action[:1], np.array([7]))
@@ -215,8 +221,11 @@ def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
     worlds = started("water", sea="rough", significant_wave_height_m=0.6, current_m_s=0.5)
     generator = np.random.default_rng(0)
     for _ in range(60):
-        result = worlds.step(np.sign(generator.normal(size=(NUM_WORLDS, 2))))
+        running = np.flatnonzero(worlds.arrays["outcome"] == Outcome.RUNNING)
+        action = np.sign(generator.normal(size=(NUM_WORLDS, 2)))
+        result = worlds.step(action[running], running)
         assert not (result.outcome == Outcome.DIVERGED).any()
+    assert len(running) > 40
 
 
 @every_task
@@ -233,8 +242,9 @@ def test_the_step_that_diverged_is_told_once_and_can_be_repeated(
     assert diverged == []
     for world in (7, 41):
         injure(worlds.qpos[world], worlds.qvel[world])
-    for action in actions[2:]:
-        worlds.step(action)
+    worlds.step(actions[2])
+    others = np.delete(np.arange(NUM_WORLDS), [7, 41])
+    worlds.step(actions[3, others], others)
     assert [told.world for told in diverged] == [7, 41]
     for told in diverged:
         assert told.steps == 2

@@ -40,6 +40,7 @@ def steps_of_worlds(draw):
         "now": now,
         "collided": draw(masks),
         "diverged": draw(masks),
+        "capsized": draw(masks),
         "goal": goal,
         "position": position,
         "distance": draw(arrays(float, WORLDS, elements=st.floats(0.0, 10.0))),
@@ -64,6 +65,7 @@ def finish_by_arrays(world, limits):
         collided,
         steps >= step_limit,
         diverged,
+        world["capsized"][ids],
     )
     distance, _ = goal_polar(end, np.zeros(len(ids)), goal)
     goes_on = outcome == Outcome.RUNNING
@@ -105,10 +107,9 @@ def test_finish_is_the_array_functions_one_after_the_other(
     reward = kernels.finish(
         ids,
         world["now"][ids],
-        world["collided"][ids],
-        world["diverged"][ids],
+        tuple(world[name][ids] for name in ("collided", "diverged", "capsized")),
         limits,
-        *(world[name] for name in [*names, "steps", "outcome"]),
+        tuple(world[name] for name in [*names, "steps", "outcome"]),
     )
     np.testing.assert_allclose(reward, expected_reward, rtol=0.0, atol=TOLERANCE)
     for name, value in expected.items():
@@ -116,21 +117,23 @@ def test_finish_is_the_array_functions_one_after_the_other(
 
 
 def test_each_outcome_has_its_reward():
-    def one_step(*, now=0.1, collided=False, diverged=False, steps=0, truncates=False):
+    def one_step(*, now=0.1, steps=0, truncates=False, **happened):
         outcome = np.zeros(1, dtype=np.int64)
+        kinds = ("collided", "diverged", "capsized")
         reward = kernels.finish(
             np.zeros(1, dtype=np.int64),
             np.array([[now, 0.0]]),
-            np.array([collided]),
-            np.array([diverged]),
+            tuple(np.array([happened.get(kind, False)]) for kind in kinds),
             (0.2, 10, 10.0, truncates),
-            np.array([[1.0, 0.0]]),
-            np.zeros((1, 2)),
-            np.ones(1),
-            np.zeros(1),
-            np.zeros(1),
-            np.array([steps]),
-            outcome,
+            (
+                np.array([[1.0, 0.0]]),
+                np.zeros((1, 2)),
+                np.ones(1),
+                np.zeros(1),
+                np.zeros(1),
+                np.array([steps]),
+                outcome,
+            ),
         )
         return Outcome(int(outcome[0])), round(float(reward[0]), 9)
 
@@ -144,6 +147,9 @@ def test_each_outcome_has_its_reward():
     assert one_step(steps=9, truncates=True) == (Outcome.TIMEOUT, 1.0)
     assert one_step(steps=9, collided=True, truncates=True) == (Outcome.COLLISION, -1.0)
     assert one_step(now=0.85, diverged=True) == (Outcome.DIVERGED, -1.0)
+    assert one_step(now=0.85, capsized=True) == (Outcome.CAPSIZED, -1.0)
+    assert one_step(capsized=True, collided=True, steps=9) == (Outcome.CAPSIZED, -1.0)
+    assert one_step(capsized=True, diverged=True) == (Outcome.DIVERGED, -1.0)
 
 
 @given(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gdrl_tasks
-from gdrl_tasks import Outcome, Stream, episode_seeds
+from gdrl_tasks import Outcome, StepResult, Stream, episode_seeds
 from gdrl_tasks.controllers import pursuit
 
 NUM_WORLDS = 56
@@ -95,15 +95,24 @@ def random_actions(task, shape, seed):
 
 
 def batch_episodes(options, num_threads, seeds):
-    """Run whole episodes, every world to the step limit; actions and results."""
-    worlds = gdrl_tasks.simulate(num_worlds=NUM_WORLDS, num_threads=num_threads, **options)
+    """Run whole episodes; actions, and results of all worlds, even of those that ended."""
+    worlds = gdrl_tasks.simulate(
+        num_worlds=NUM_WORLDS, num_threads=num_threads, seed=0, **options
+    )
     generator = np.random.default_rng(0)
     observation = worlds.reset(seeds=seeds)
     first, actions, results = observation, [], []
+    size = (NUM_WORLDS,)
+    last = [observation, np.zeros(size), *np.zeros((2, *size), bool), np.zeros(size, int)]
     for _ in range(worlds.task.spec.step_limit):
-        actions.append(actions_for(worlds.task, observation, generator))
-        results.append(worlds.step(actions[-1]))
-        observation = results[-1].observation
+        actions.append(actions_for(worlds.task, last[0], generator))
+        running = np.flatnonzero(worlds.arrays["outcome"] == Outcome.RUNNING)
+        last = [field.copy() for field in last]
+        for field, rows in zip(
+            last, worlds.step(actions[-1][running], running), strict=True
+        ):
+            field[running] = rows
+        results.append(StepResult(*last))
     state = worlds.get_state()
     worlds.close()
     return first, actions, results, state
@@ -182,6 +191,7 @@ def test_the_control_interval_does_not_change_the_motion(options, substep_s):
         worlds = gdrl_tasks.simulate(
             num_worlds=8,
             num_threads=1,
+            seed=0,
             control_interval_s=substeps * substep_s,
             step_limit=1000,
             **options,
@@ -193,6 +203,7 @@ def test_the_control_interval_does_not_change_the_motion(options, substep_s):
             action = np.arange(8) % 5
         for _ in range(400 // substeps):
             worlds.step(action)
+            worlds.arrays["outcome"][:] = Outcome.RUNNING
         ends.append(np.concatenate([worlds.qpos, worlds.qvel], axis=1))
     np.testing.assert_allclose(ends[0], ends[1], rtol=0.0, atol=1e-9)
     assert np.abs(ends[0][:, :2]).max() > 0.1
@@ -241,12 +252,15 @@ def test_a_restored_layout_stops_who_runs_into_it(indoor_at):
         indoor_at([(0.0, 0.0, 0.0)], arena="scatter", layout=layout).get_state()
         for layout in (None, wall_ahead)
     )
-    worlds = gdrl_tasks.simulate("indoor", num_worlds=1, arena="scatter", step_limit=10**6)
+    worlds = gdrl_tasks.simulate(
+        "indoor", num_worlds=1, seed=0, arena="scatter", step_limit=10**6
+    )
     worlds.reset()
     ends = []
     for state in (blocked, free, blocked):
         worlds.set_state(state)
         for _ in range(50):
+            worlds.arrays["outcome"][:] = Outcome.RUNNING
             result = worlds.step(np.array([2]))
         ends.append((worlds.qpos[0, 0], result.outcome[0]))
     # Its body ends at the wall's face at 0.45 m; the axle is ahead of its middle.
@@ -257,7 +271,7 @@ def test_a_restored_layout_stops_who_runs_into_it(indoor_at):
 
 @every_kind
 def test_a_state_is_a_copy(options):
-    worlds = gdrl_tasks.simulate(num_worlds=2, num_threads=1, **options)
+    worlds = gdrl_tasks.simulate(num_worlds=2, num_threads=1, seed=0, **options)
     worlds.reset()
     state = worlds.get_state()
     kept = {name: value.copy() for name, value in state.items()}
@@ -278,7 +292,7 @@ def assert_rows_equal(one, other, rows):
 def test_stepping_some_worlds_leaves_the_others_untouched(num_threads, options):
     seeds = episode_seeds(Stream.EVALUATION, 2, 0, 120)
     some, every = (
-        gdrl_tasks.simulate(num_worlds=120, num_threads=num_threads, **options)
+        gdrl_tasks.simulate(num_worlds=120, num_threads=num_threads, seed=0, **options)
         for _ in range(2)
     )
     some.reset(seeds=seeds), every.reset(seeds=seeds)
@@ -302,7 +316,7 @@ def test_stepping_some_worlds_leaves_the_others_untouched(num_threads, options):
 
 @every_kind
 def test_resetting_some_worlds_leaves_the_others_untouched(options):
-    worlds = gdrl_tasks.simulate(num_worlds=6, num_threads=1, **options)
+    worlds = gdrl_tasks.simulate(num_worlds=6, num_threads=1, seed=0, **options)
     worlds.reset()
     worlds.step(random_actions(worlds.task, (6,), 0))
     before = worlds.get_state()
@@ -316,7 +330,7 @@ def test_resetting_some_worlds_leaves_the_others_untouched(options):
 @every_kind
 def test_the_same_seed_is_the_same_world_anywhere(options):
     seeds = episode_seeds(Stream.FITNESS, 0, 0, 3)
-    worlds = gdrl_tasks.simulate(num_worlds=6, num_threads=1, **options)
+    worlds = gdrl_tasks.simulate(num_worlds=6, num_threads=1, seed=0, **options)
     worlds.reset(seeds=np.repeat(seeds, 2))
     action = np.repeat(random_actions(worlds.task, (3,), 0), 2, axis=0)
     result = worlds.step(action)

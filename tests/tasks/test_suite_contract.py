@@ -46,8 +46,8 @@ def random_policy(action_spec, seed):
     generator = np.random.default_rng(seed)
     if isinstance(action_spec, specs.DiscreteArray):
         return lambda: generator.integers(action_spec.num_values)
-    low, high = action_spec.minimum, action_spec.maximum
-    return lambda: generator.uniform(low, high, action_spec.shape)
+    # As dm_control's own suite draws them: the bounds alone say how many there are.
+    return lambda: generator.uniform(action_spec.minimum, action_spec.maximum)
 
 
 def trajectory(environment, *, seed, num_episodes=3, longest=12):
@@ -144,6 +144,19 @@ def test_time_steps_conform_to_the_specs(name, options):
 
 
 @every_task
+@pytest.mark.parametrize("flat_observation", [False, True])
+def test_every_element_of_a_spec_has_bounds_of_its_own(name, options, flat_observation):
+    kwargs = {"flat_observation": flat_observation}
+    environment = gdrl_tasks.load(name, environment_kwargs=kwargs, **options)
+    for spec in (environment.action_spec(), *environment.observation_spec().values()):
+        assert np.shape(spec.minimum) == spec.shape
+        assert np.shape(spec.maximum) == spec.shape
+    observation = environment.reset().observation
+    for key, spec in environment.observation_spec().items():
+        assert (observation[key].shape, observation[key].dtype) == (spec.shape, spec.dtype)
+
+
+@every_task
 def test_continuous_actions_are_commands_between_minus_one_and_one(name, options):
     spec = gdrl_tasks.load(name, **options).action_spec()
     if isinstance(spec, specs.DiscreteArray):
@@ -203,6 +216,38 @@ def test_no_element_of_an_observation_is_constant(name, options):
     for key in environment.observation_spec():
         values = np.array([step.observation[key] for step in steps])
         assert (values != values[0]).any(axis=0).all(), f"{key} has a constant element"
+
+
+@pytest.mark.parametrize("name", ["water", "indoor"])
+@pytest.mark.parametrize(
+    ("argument", "value", "option"),
+    [
+        ("n_sub_steps", 1, "control_interval_s"),
+        ("n_sub_steps", 16, "substep_s"),
+        ("control_timestep", 0.02, "control_interval_s"),
+        ("time_limit", 10.0, "step_limit"),
+    ],
+)
+def test_times_that_contradict_the_task_are_refused(name, argument, value, option):
+    with pytest.raises(ValueError, match=f"{argument}={value}.*{option}"):
+        gdrl_tasks.load(name, environment_kwargs={argument: value})
+
+
+@pytest.mark.parametrize("name", ["water", "indoor"])
+def test_times_that_are_those_of_the_task_are_taken(name):
+    spec = gdrl_tasks.make_task(name).spec
+    for kwargs in (
+        {"n_sub_steps": spec.num_substeps},
+        {"control_timestep": spec.control_interval_s, "time_limit": float("inf")},
+    ):
+        environment = gdrl_tasks.load(name, environment_kwargs=kwargs)
+        assert environment.control_timestep() == pytest.approx(spec.control_interval_s)
+
+
+def test_environments_without_a_seed_play_other_episodes():
+    goals = [gdrl_tasks.load("water") for _ in range(2)]
+    first, second = (environment.reset().observation for environment in goals)
+    assert first["goal_bearing"] != second["goal_bearing"]
 
 
 @every_task

@@ -30,13 +30,14 @@ OUTCOMES = {
     "success_rate": Outcome.SUCCESS,
     "collision_rate": Outcome.COLLISION,
     "timeout_rate": Outcome.TIMEOUT,
+    "capsized_rate": Outcome.CAPSIZED,
     "diverged_rate": Outcome.DIVERGED,
 }
 
 
 def play(task, actor, seed):
     """Outcome, return, steps, way travelled and shortest way of one episode."""
-    worlds = gdrl_tasks.BatchSimulation(task, 1, num_threads=1)
+    worlds = gdrl_tasks.BatchSimulation(task, 1, num_threads=1, seed=0)
     observation = worlds.reset(seeds=np.array([seed]))
     goal = worlds.arrays["goal"][0].copy()
     place, way, total, steps = np.zeros(2), 0.0, 0.0, 0

@@ -51,7 +51,7 @@ def evaluator_for(easy_task_for):
 
 def play(task, actor, seed, *, max_steps=math.inf):
     """One episode of one member in one world, in plain Python."""
-    worlds = gdrl_tasks.BatchSimulation(task, 1, num_threads=1)
+    worlds = gdrl_tasks.BatchSimulation(task, 1, num_threads=1, seed=0)
     observation = worlds.reset(seeds=np.array([seed]))
     total, steps, outcome = 0.0, 0, Outcome.RUNNING
     while outcome == Outcome.RUNNING and steps < max_steps:
@@ -119,7 +119,7 @@ def test_the_parents_copy_scores_exactly_as_the_parent(
     seeds = torch.tensor([1, 2, 3, 4])
     evaluator = evaluator_for(actor, 24, task=task, num_episodes=4)
     crowd = evaluator.evaluate(population_of(actor, 6), seeds=seeds)[0]
-    env = NavigationEnv(task, 4, num_threads=1)
+    env = NavigationEnv(task, 4, num_threads=1, seed=0)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         start = env.reset(episode_seed=seeds)
         path = env.rollout(
@@ -721,7 +721,7 @@ def test_shrinking_blocks_are_whole_batches_of_the_environment(
         evaluator = PopulationEvaluator(
             actor,
             num_episodes=12,
-            create_env_fn=lambda: wrap(NavigationEnv(task, worlds, num_threads=1)),
+            create_env_fn=lambda: wrap(NavigationEnv(task, worlds, num_threads=1, seed=0)),
             extra_keys=("path_length", "episode_return"),
         )
         alone = evaluator.evaluate(population, seeds=seeds)
@@ -757,7 +757,7 @@ def test_any_number_of_threads_gives_the_same_scores_bit_by_bit(
     population = population_of(actor, 11)
 
     def evaluate(threads):
-        env = NavigationEnv(task, 132, num_threads=threads)
+        env = NavigationEnv(task, 132, num_threads=threads, seed=0)
         evaluator = PopulationEvaluator(actor, num_episodes=12, create_env_fn=lambda: env)
         found = evaluator.evaluate(population, seeds=torch.arange(12))
         evaluator.close()
@@ -800,7 +800,9 @@ def test_torch_has_the_threads_that_it_had(actor_of, population_of, evaluator_fo
 def test_a_transformed_environment_is_never_bypassed(
     actor_of, population_of, easy_task_for
 ):
-    env = TransformedEnv(NavigationEnv(easy_task_for(), 6, num_threads=1), StepCounter(5))
+    env = TransformedEnv(
+        NavigationEnv(easy_task_for(), 6, num_threads=1, seed=0), StepCounter(5)
+    )
     actor = actor_of("tanh_normal")
     evaluator = PopulationEvaluator(actor, num_episodes=3, create_env_fn=lambda: env)
     steps = evaluator.evaluate(population_of(actor, 2))["steps"]

@@ -41,7 +41,7 @@ def mock_population(mock_actor, population_of):
 
 @pytest.fixture
 def water(easy_task_for):
-    env = NavigationEnv(easy_task_for(step_limit=6), 6, num_threads=1)
+    env = NavigationEnv(easy_task_for(step_limit=6), 6, num_threads=1, seed=0)
     yield env
     env.close()
 

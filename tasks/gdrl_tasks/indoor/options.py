@@ -10,6 +10,10 @@ from gdrl_tasks.checks import check_choice, check_fields, check_times, within
 STEP_LIMITS = {"paper": 500, "scatter": 500, "corridor": 1000}
 """Control steps that an episode takes at most unless told otherwise, by arena."""
 
+LONGEST_STEP_M = 0.11
+"""Longest way of a control step: the radius of the footprint. Contacts are looked for at
+the ends of steps, so none of what lies between is further away than that."""
+
 
 @dataclasses.dataclass(frozen=True)
 class IndoorOptions:
@@ -50,3 +54,10 @@ class IndoorOptions:
         if len(set(rates)) != len(rates):
             raise ValueError(f"turn_rates_deg_s={rates} must be different ones")
         check_times(self.control_interval_s, self.substep_s)
+        way_m = self.control_interval_s * self.speed_m_s
+        if way_m > LONGEST_STEP_M * (1.0 + 1e-9):
+            raise ValueError(
+                f"control_interval_s={self.control_interval_s} times "
+                f"speed_m_s={self.speed_m_s} is {way_m:.3g} m: at most {LONGEST_STEP_M} m "
+                "may be driven between two looks for contacts"
+            )

@@ -53,7 +53,8 @@ class WaterOptions:
     dead_zone_compensated: bool = False
     extra_observations: tuple[str, ...] = among((), EXTRA_OBSERVATIONS)
     """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
-    control_interval_s: float = within(0.25, above=0.0, most=10.0)
+    control_interval_s: float = within(0.25, above=0.0, most=1.0)
+    """A goal is looked for along a straight line; in a longer step the way bends more."""
     substep_s: float = within(0.03125, least=1e-4, most=0.1)
     step_limit: int = within(160, least=1, most=1_000_000)
     wave_components: int = within(12, least=1, most=1000)

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gdrl_tasks.kernels import upside_down
 from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
@@ -197,6 +198,12 @@ class WaterTask(NavigationTask):
         )
         state = (qpos, qvel, time_s, xfrc_applied[:, -1])
         return lambda ids: substep(ids, *state, *own, *constants)
+
+    def capsizes(
+        self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
+    ) -> np.ndarray:
+        """Mask of hulls that heel or pitch by more than 90 degrees, ``[K]``."""
+        return upside_down(qpos)
 
     def observe_extra(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray, qvel: np.ndarray
