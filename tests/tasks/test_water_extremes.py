@@ -18,10 +18,16 @@ from gdrl_tasks.water.hull import (
 )
 from gdrl_tasks.water.options import WaterOptions
 from gdrl_tasks.water.task import WaterTask
+from gdrl_tasks.water.waves import SEA_FIELDS
 
 HULL = make_hull()
 PORT = HULL.points[:, 1] > 0.0
 LEVEL = (1.0, 0.0, 0.0, 0.0)
+SUBSTEP_S = WaterOptions().substep_s
+
+
+numbers = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
+attitudes = st.tuples(*[numbers] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
 @functools.cache
@@ -32,7 +38,7 @@ def engine(substep_s):
     return task, task.engine_model()
 
 
-def motion(qpos, qvel, seconds, *, substep_s=WaterOptions().substep_s, command=0.0):
+def motion(qpos, qvel, seconds, *, substep_s=SUBSTEP_S, command=0.0):
     """Positions ``[T, 7]`` and velocities ``[T, 6]`` of one hull in still water.
 
     By hand and not by episodes, which end when a vessel capsizes.
@@ -43,8 +49,7 @@ def motion(qpos, qvel, seconds, *, substep_s=WaterOptions().substep_s, command=0
     data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
     arrays = {"current": np.zeros((1, 2)), "command": np.full((1, 2), command)}
     arrays["thrust"] = command * np.full((1, 2), HULL.thrust_ahead_n)
-    names = ("amplitude", "wavenumber_x", "wavenumber_y", "omega", "phase", "decay")
-    arrays |= {name: np.zeros((1, 1)) for name in names}
+    arrays |= {name: np.zeros((1, 1)) for name in SEA_FIELDS}
     time = np.zeros(1)
     places, velocities = [data.qpos[:7].copy()], [data.qvel[:6].copy()]
     rows = data.qpos[None, :7], data.qvel[None, :6], time, data.xfrc_applied[None]
@@ -59,7 +64,7 @@ def motion(qpos, qvel, seconds, *, substep_s=WaterOptions().substep_s, command=0
 
 
 @given(
-    attitude=st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.hypot(*q[:2]) > 0.1),
+    attitude=attitudes,
     spin=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
     command=st.sampled_from([0.0, 1.0, -1.0]),
 )
@@ -69,7 +74,7 @@ def test_out_of_the_water_it_falls_as_a_stone_falls(attitude, spin, command):
     places, velocities = motion(start, [1.5, -0.7, 1.0, *spin], 1.0, command=command)
     np.testing.assert_allclose(velocities[-1, :2], [1.5, -0.7], atol=1e-9)
     # The first substep is half a kick: velocities are those of half a substep earlier.
-    fallen = GRAVITY_M_S2 * (1.0 - 0.5 * WaterOptions().substep_s)
+    fallen = GRAVITY_M_S2 * (1.0 - 0.5 * SUBSTEP_S)
     assert velocities[-1, 2] == pytest.approx(1.0 - fallen, abs=1e-9)
     assert places[-1, 2] == pytest.approx(20.0 + 1.0 - 0.5 * GRAVITY_M_S2, abs=0.05)
 
@@ -154,9 +159,6 @@ def energies(places, velocities):
     return moving + potential[1:-1]
 
 
-numbers = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
-
-
 def thrown(height, attitude, velocity):
     """A hull anywhere between 0.3 m under and 0.5 m over the water, in any motion."""
     start = np.array([0.0, 0.0, 0.1 + 0.4 * height, *attitude])
@@ -165,7 +167,7 @@ def thrown(height, attitude, velocity):
 
 @given(
     height=numbers,
-    attitude=st.tuples(*[numbers] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    attitude=attitudes,
     velocity=st.tuples(*[numbers] * 6),
 )
 @example(-0.25, LEVEL, (1.0, -1.0, 0.0, 0.0, 0.0, 1.0))
