@@ -21,6 +21,8 @@ _ROW = 64
 """Length of a row of the scratch memory, and so the most points of a hull. A constant:
 the compiler then knows that rows do not overlap."""
 _SURFACE, _SLOPE_X, _SLOPE_Y, _RISE, _RISE_RATE, _COS, _SIN = (_ROW * i for i in range(7))
+_ARM_X, _ARM_Y, _ARM_Z, _FORCE_X, _FORCE_Y, _FORCE_Z = (_ROW * i for i in range(7, 13))
+_BEFORE, _AFTER = _COS, _SIN
 _TWO_OVER_PI = 2.0 / math.pi
 # Half pi in three parts (Cody and Waite 1980): products of the first two with whole
 # numbers below 2**20 are exact.
@@ -61,7 +63,7 @@ def hull_constants(hull: Hull) -> tuple:
         hull.linear_damping,
         hull.quadratic_damping,
         hull.stiffness,
-        hull.points,
+        np.ascontiguousarray(hull.points.T),
     )
     return stations, hull.spacing_m, scalars, arrays
 
@@ -151,11 +153,13 @@ def substep(
     keep = math.exp(-substep_s / lag)
     mean_gap = -math.expm1(-substep_s / lag) / (substep_s / lag)
     half = 0.5 * substep_s
+    buoyancy = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * area
+    fuller = 1.0 / acting
     twelfth = substep_s * substep_s / 12.0
     settled_s = half * linear[2] + twelfth * stiffness[2]
     settled_p = half * linear[3] + twelfth * stiffness[3]
     settled_q = half * linear[4] + twelfth * stiffness[4]
-    water = np.empty(7 * _ROW)
+    water = np.empty(13 * _ROW)
     angle = np.empty(3 * components)
     cosines, sinuses = np.empty(3 * components), np.empty(3 * components)
     rotation = np.empty((3, 3))
@@ -194,7 +198,7 @@ def substep(
 
         # Water at the points: one sine and cosine per hull and component, and one for
         # the spacing; the others by rotation.
-        px, py, pz = points[0, 0], points[0, 1], points[0, 2]
+        px, py, pz = points[0, 0], points[1, 0], points[2, 0]
         first_x = qpos[world, 0] + rotation[0, 0] * px + rotation[0, 1] * py
         first_y = qpos[world, 1] + rotation[1, 0] * px + rotation[1, 1] * py
         first_x += rotation[0, 2] * pz
@@ -202,7 +206,7 @@ def substep(
         # The waves travel in the water, and so with the current.
         first_x -= current[world, 0] * time_s[world]
         first_y -= current[world, 1] * time_s[world]
-        across = points[stations, 1] - py
+        across = points[1, stations] - py
         other_x = first_x + rotation[0, 1] * across
         other_y = first_y + rotation[1, 1] * across
         along_x, along_y = spacing * rotation[0, 0], spacing * rotation[1, 0]
@@ -256,32 +260,31 @@ def substep(
             water_ay += scale * omega * ky * sin_sum
             water_vz += speed / count * sin_sum
 
-        # Forces at the points.
-        fx = fy = fz = 0.0
-        tx = ty = tz = 0.0
-        shares_before = shares_after = 0.0
+        # Forces at the points, first each on its own, then their sums.
         for i in range(count):
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+            px, py, pz = points[0, i], points[1, i], points[2, i]
             ax = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
             ay = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
             az = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
             deep = water[_SURFACE + i] - (qpos[world, 2] + az) + 0.5 * draft
-            lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * area * min(max(deep, 0.0), depth)
             rising = vz + spin_x * ay - spin_y * ax - water[_RISE + i]
-            before = min(max((deep + half * rising) / acting, 0.0), 1.0)
-            after = min(max((deep - half * rising) / acting, 0.0), 1.0)
-            shares_before += before
-            shares_after += after
-            share = 0.5 * (before + after)
-            if i == 0:
-                push_starboard *= share
-            elif i == stations:
-                push_port *= share
-            gx = -lift * water[_SLOPE_X + i]
-            gy = -lift * water[_SLOPE_Y + i]
-            gz = lift + share * (
-                point_added * water[_RISE_RATE + i] - point_damping * rising
-            )
+            lift = buoyancy * min(max(deep, 0.0), depth)
+            before = min(max((deep + half * rising) * fuller, 0.0), 1.0)
+            after = min(max((deep - half * rising) * fuller, 0.0), 1.0)
+            waves = point_added * water[_RISE_RATE + i] - point_damping * rising
+            water[_ARM_X + i], water[_ARM_Y + i], water[_ARM_Z + i] = ax, ay, az
+            water[_BEFORE + i], water[_AFTER + i] = before, after
+            water[_FORCE_X + i] = -lift * water[_SLOPE_X + i]
+            water[_FORCE_Y + i] = -lift * water[_SLOPE_Y + i]
+            water[_FORCE_Z + i] = lift + 0.5 * (before + after) * waves
+        fx = fy = fz = 0.0
+        tx = ty = tz = 0.0
+        shares_before = shares_after = 0.0
+        for i in range(count):
+            ax, ay, az = water[_ARM_X + i], water[_ARM_Y + i], water[_ARM_Z + i]
+            gx, gy, gz = water[_FORCE_X + i], water[_FORCE_Y + i], water[_FORCE_Z + i]
+            shares_before += water[_BEFORE + i]
+            shares_after += water[_AFTER + i]
             fx += gx
             fy += gy
             fz += gz
@@ -292,6 +295,8 @@ def substep(
         taken = max(shares_after - shares_before, 0.0) / (count * substep_s)
         push = turn = 0.0
         if rotation[2, 2] > 0.0:
+            push_starboard *= 0.5 * (water[_BEFORE] + water[_AFTER])
+            push_port *= 0.5 * (water[_BEFORE + stations] + water[_AFTER + stations])
             push = push_port + push_starboard
             turn = lever * (push_starboard - push_port)
 
