@@ -194,6 +194,21 @@ def test_nor_does_it_by_more_than_the_error_of_the_default_substep():
     assert max(rises) < 0.03
 
 
+@pytest.mark.parametrize(("coordinate", "size"), [(2, 0.005), (4, 0.01), (5, 0.01)])
+def test_the_default_substep_keeps_the_periods_of_free_oscillations(coordinate, size):
+    periods = []
+    for substep_s in (SUBSTEP_S, 0.001):
+        rest = np.array([0.0, 0.0, -HULL.points[0, 2] - 0.5 * HULL.draft_m, *LEVEL])
+        start = rest.copy()
+        start[coordinate] += size
+        swing = motion(start, np.zeros(6), 4.0, substep_s=substep_s)[0] - rest
+        swing = swing[:, coordinate]
+        before = np.flatnonzero(np.diff(np.sign(swing)))[:5]
+        crossing = before + swing[before] / (swing[before] - swing[before + 1])
+        periods.append(2.0 * substep_s * np.diff(crossing).mean())
+    assert periods[0] == pytest.approx(periods[1], rel=1.5e-3)
+
+
 def test_the_mass_fits_into_the_hull():
     parameters = HullParameters()
     # Mean squares of the distances along x, y, z from the centre of gravity.
@@ -210,6 +225,26 @@ def test_the_mass_fits_into_the_hull():
 def test_yaw_inertia_lies_within_the_published_values():
     # 8.35 and 18.35 identified by KAIST, 10 in the nominal model.
     assert 8.35 <= HULL.inertia[2] + HULL.added_mass[5] <= 18.35
+
+
+@pytest.mark.parametrize("height_and_period", [(0.04, 0.62), (0.41, 2.0), (2.0, 4.39)])
+def test_the_steepest_seas_that_are_allowed_capsize_no_vessel(height_and_period):
+    height, period = height_and_period
+    worlds = gdrl_tasks.simulate(
+        "water",
+        num_worlds=30,
+        num_threads=1,
+        significant_wave_height_m=height,
+        peak_period_s=period,
+        goal_distance_m=(900.0, 999.0),
+    )
+    worlds.reset(seeds=np.arange(30))
+    generator = np.random.default_rng(0)
+    for _ in range(120):
+        worlds.step(np.sign(generator.normal(size=(30, 2))))
+        upright = 1.0 - 2.0 * (worlds.qpos[:, 4:6] ** 2).sum(axis=1)
+        assert upright.min() > math.cos(math.radians(50.0))
+    worlds.close()
 
 
 @pytest.mark.parametrize("sea", ["calm", "rough"])
