@@ -21,7 +21,12 @@ BAD_WATER_OPTIONS = [
     ("significant_wave_height_m", -0.1),
     ("significant_wave_height_m", float("nan")),
     ("significant_wave_height_m", "high"),
+    ("significant_wave_height_m", 2.01),
     ("peak_period_s", 0.0),
+    ("peak_period_s", 0.61),
+    ("peak_period_s", 30.1),
+    ("peak_period_s", 1e5),
+    ("peak_period_s", float("nan")),
     ("goal_distance_m", (6.0, 2.0)),
     ("goal_distance_m", (1.0, 2.0, 3.0)),
     ("goal_distance_m", 5.0),
@@ -104,6 +109,46 @@ def test_a_bad_value_is_named_on_every_route(route, name, option, value):
         named += re.escape(str(value))
     with pytest.raises(ValueError, match=named):
         make(name, **counts, **{option: value})
+
+
+STEEP = r"1/15; set significant_wave_height_m to {} or less, or peak_period_s to {} or more"
+
+
+@pytest.mark.parametrize(
+    ("options", "allowed", "message"),
+    [
+        # Wavelengths by g T^2 / 2 pi: 0.600, 1.561, 30.09 m; 0.797 of lake, 1.561 of calm.
+        ({"peak_period_s": 0.62}, (0.04, 0.041), (0.04, 0.63)),
+        ({"peak_period_s": 1.0}, (0.104, 0.105), (0.104, 1.01)),
+        ({"peak_period_s": 4.38, "sea": "rough"}, (1.996, 2.0), (1.996, 4.39)),
+        ({"sea": "lake"}, (0.053, 0.054), (0.053, 0.73)),
+        ({"sea": "rough"}, (0.133, 0.14), (0.133, 1.16)),
+        ({"sea": "calm"}, (0.104, 0.2), (0.104, 1.39)),
+    ],
+)
+def test_a_sea_that_would_break_is_refused_with_the_limit(options, allowed, message):
+    inside, outside = (
+        {"significant_wave_height_m": height} | options for height in allowed
+    )
+    gdrl_tasks.make_task("water", **inside)
+    named = ", ".join(f"{name}={value}" for name, value in outside.items() if name != "sea")
+    with pytest.raises(ValueError, match=STEEP.format(*message)) as refused:
+        gdrl_tasks.make_task("water", **outside)
+    for name in named.split(", "):
+        assert name in str(refused.value)
+    # What the message advises is accepted.
+    height, period = message
+    gdrl_tasks.make_task("water", **outside | {"significant_wave_height_m": height})
+    gdrl_tasks.make_task("water", **outside | {"peak_period_s": period})
+
+
+def test_a_period_too_short_for_the_heights_of_a_sea_is_refused():
+    with pytest.raises(
+        ValueError, match=r"up to 0\.25 m of sea='rough' with peak_period_s"
+    ):
+        gdrl_tasks.make_task("water", sea="rough", peak_period_s=1.5)
+    gdrl_tasks.make_task("water", sea="rough", peak_period_s=1.56)
+    gdrl_tasks.make_task("water", sea="calm", peak_period_s=0.62)
 
 
 def test_an_unknown_task_or_option_is_named_with_the_known_ones():
@@ -329,7 +374,7 @@ def test_any_robot_that_is_allowed_can_be_driven(
     distances=st.tuples(st.floats(0.5, 50.0), st.floats(0.5, 50.0)),
     tolerance=st.floats(0.01, 2.0),
     height=st.floats(0.0, 2.0),
-    period=st.floats(0.4, 50.0),
+    period=st.floats(0.62, 30.0),
     seed=st.integers(0, 2**62),
 )
 def test_episodes_are_as_the_options_say(distances, tolerance, height, period, seed):
@@ -342,6 +387,10 @@ def test_episodes_are_as_the_options_say(distances, tolerance, height, period, s
     }
     if tolerance >= near:
         with pytest.raises(ValueError, match="goal_tolerance_m="):
+            gdrl_tasks.make_task("water", **options)
+        return
+    if height > 9.81 * period**2 / (2.0 * np.pi) / 15.0:
+        with pytest.raises(ValueError, match="significant_wave_height_m="):
             gdrl_tasks.make_task("water", **options)
         return
     episode = gdrl_tasks.make_task("water", **options).draw_episode(seed)

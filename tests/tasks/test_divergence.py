@@ -218,7 +218,9 @@ def check_diverged(environment, time_step, actions, fresh):
 
 
 def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
-    worlds = started("water", sea="rough", significant_wave_height_m=0.6, current_m_s=0.5)
+    worlds = started(
+        "water", significant_wave_height_m=0.6, peak_period_s=2.5, current_m_s=0.5
+    )
     generator = np.random.default_rng(0)
     for _ in range(60):
         running = np.flatnonzero(worlds.arrays["outcome"] == Outcome.RUNNING)

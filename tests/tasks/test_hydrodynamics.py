@@ -167,35 +167,47 @@ def cross_matrix(vector):
 def fossen_acceleration(hull, qpos, qvel, thrust):
     """Body-frame accelerations in still water, by the equations in matrix form.
 
-    M dnu/dt = tau - C(nu) nu - D(nu) nu - g, for one world; without the Munk moment.
+    M dnu/dt = tau - C(nu) nu - D(nu) nu - g, for one world. What the water does counts by
+    the share of the hull that is in it. Added mass has no Munk moment, and in the forces
+    the Coriolis matrix of a mass of the same size in all directions.
     """
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, qpos[3:])
     rotation = rotation.reshape(3, 3)
     linear, angular = rotation.T @ qvel[:3], qvel[3:]
     nu = np.concatenate([linear, angular])
-    rigid = np.concatenate([np.full(3, hull.mass_kg), hull.inertia])
-    coriolis = np.zeros((6, 6))
-    for share, both in ((rigid, True), (hull.added_mass, False)):
-        coriolis[:3, 3:] -= cross_matrix(share[:3] * linear)
-        coriolis[3:, 3:] -= cross_matrix(share[3:] * angular)
-        if both:
-            coriolis[3:, :3] -= cross_matrix(share[:3] * linear)
-    drag = hull.linear_damping + hull.quadratic_damping * np.abs(nu)
-    drag[2:5] = 0.0  # These act at the hull points.
-    force = np.array([thrust.sum(), 0.0, 0.0]) - hull.mass_kg * GRAVITY_M_S2 * rotation[2]
-    turn = hull.lever_m * (thrust[1] - thrust[0])
-    torque = np.array([0.0, hull.thrust_height_m * thrust.sum(), turn])
-    tau = np.concatenate([force, torque]) - drag * nu - coriolis @ nu
+    force = -hull.mass_kg * GRAVITY_M_S2 * rotation[2]
+    tau, shares, wetting = np.concatenate([force, np.zeros(3)]), [], []
     for point in hull.points:
         height = qpos[2] + rotation[2] @ point
         wetted = min(max(0.5 * hull.draft_m - height, 0.0), hull.depth_m)
-        share = min(wetted / hull.draft_m, 1.0)
+        share = min(2.0 * wetted / hull.draft_m, 1.0)
         lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * hull.point_area_m2 * wetted
         speed = rotation[2] @ (linear + np.cross(angular, point))
         up = (lift - share * hull.point_damping * speed) * rotation[2]
         tau += np.concatenate([up, np.cross(point, up)])
-    return tau / (rigid + hull.added_mass)
+        shares.append(share)
+        wetting.append(-2.0 * speed / hull.draft_m if 0.0 < share < 1.0 else 0.0)
+    share = np.mean(shares)
+    rigid = np.concatenate([np.full(3, hull.mass_kg), hull.inertia])
+    water = share * hull.added_mass
+    coriolis = np.zeros((6, 6))
+    for mass, moment, both in (
+        (rigid[:3], rigid[3:], True),
+        (np.full(3, water[0]), water[3:], False),
+    ):
+        coriolis[:3, 3:] -= cross_matrix(mass * linear)
+        coriolis[3:, 3:] -= cross_matrix(moment * angular)
+        if both:
+            coriolis[3:, :3] -= cross_matrix(mass * linear)
+    drag = share * (hull.linear_damping + hull.quadratic_damping * np.abs(nu))
+    drag[2:5] = 0.0  # These act at the hull points.
+    drag += max(np.mean(wetting), 0.0) * hull.added_mass
+    # The first half of the points is the starboard hull, and its first is the stern.
+    thrust = thrust * [shares[len(shares) // 2], shares[0]] * (rotation[2, 2] > 0.0)
+    turn = hull.lever_m * (thrust[1] - thrust[0])
+    tau += [thrust.sum(), 0.0, 0.0, 0.0, hull.thrust_height_m * thrust.sum(), turn]
+    return (tau - drag * nu - coriolis @ nu) / (rigid + water)
 
 
 def test_mujoco_moves_with_the_acceleration_of_fossens_equations():

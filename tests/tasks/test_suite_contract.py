@@ -479,7 +479,9 @@ def test_the_top_camera_sees_the_whole_arena(arena, opengl):
 
 @pytest.mark.render
 def test_the_drawn_surface_is_where_the_water_is(opengl):
-    environment = gdrl_tasks.load("water", random=0, significant_wave_height_m=0.4)
+    environment = gdrl_tasks.load(
+        "water", random=0, significant_wave_height_m=0.4, peak_period_s=2.0
+    )
     environment.reset()
     environment.step(np.zeros(2))
     environment.physics.render(16, 16, camera_id="top")

@@ -43,7 +43,7 @@ def spectral_moments(series, interval_s):
     window = np.hanning(series.shape[-1])
     power = np.abs(np.fft.rfft(series * window, axis=-1)) ** 2
     frequency = np.fft.rfftfreq(series.shape[-1], interval_s)
-    keep = frequency > 0.02
+    keep = frequency > 0.003 / interval_s
     scale = (window**2).sum() * series.shape[-1] / 2.0
     power, frequency = power[..., keep] / scale, frequency[keep]
     return power.sum(axis=-1), (power / frequency).sum(axis=-1)
@@ -54,23 +54,31 @@ def spectral_moments(series, interval_s):
     [
         WaterOptions(sea="lake"),
         WaterOptions(sea="rough"),
-        # The shortest waves of the lake, and swell with many components.
-        WaterOptions(significant_wave_height_m=0.034, peak_period_s=0.714),
         WaterOptions(significant_wave_height_m=0.3, peak_period_s=4.0, wave_components=40),
+        # The edges of the range: shortest, highest and steepest, longest, fewest.
+        WaterOptions(significant_wave_height_m=0.04, peak_period_s=0.62),
+        WaterOptions(
+            significant_wave_height_m=0.04, peak_period_s=0.62, wave_components=60
+        ),
+        WaterOptions(significant_wave_height_m=2.0, peak_period_s=4.39),
+        WaterOptions(significant_wave_height_m=2.0, peak_period_s=30.0),
+        WaterOptions(significant_wave_height_m=0.1, peak_period_s=1.0, wave_components=1),
     ],
-    ids=["lake", "rough", "shortest", "swell"],
+    ids=["lake", "rough", "swell", "short", "short-60", "high", "long", "regular"],
 )
 def test_height_and_energy_period_are_those_requested(options):
     sea, heights, periods = episodes(options, seeds=range(20))
     places = np.array([[0.0, 0.0], [3.0, 1.0], [-5.0, 2.0], [0.4, -7.0], [11.0, 13.0]])
     x, y = (np.tile(places[:, i], (20, 1)) for i in range(2))
-    times = np.arange(0.0, 1800.0, 0.15)
+    # Long enough for neighbouring frequencies to go in and out of step many times.
+    interval = 0.15 * max(1.0, periods.max() / 2.0)
+    times = interval * np.arange(12_000)
     record = np.stack(
         [waves.elevation(sea, x, y, np.full(20, time)) for time in times], axis=-1
     )
     wanted_height = np.broadcast_to(heights[:, None], (20, 5))
     np.testing.assert_allclose(4.0 * record.std(axis=-1), wanted_height, rtol=0.05)
-    zeroth, minus_first = spectral_moments(record, 0.15)
+    zeroth, minus_first = spectral_moments(record, interval)
     np.testing.assert_allclose(4.0 * np.sqrt(zeroth), wanted_height, rtol=0.05)
     wanted_period = [[waves.energy_period(period)] * 5 for period in periods]
     np.testing.assert_allclose(minus_first / zeroth, wanted_period, rtol=0.05)
@@ -87,14 +95,14 @@ def test_energy_period_is_that_of_the_jonswap_spectrum():
     assert omega[density.argmax()] == pytest.approx(math.pi, rel=1e-3)
 
 
-@pytest.mark.parametrize("period", [0.4, 0.7, 1.5, 5.0])
+@pytest.mark.parametrize("period", [0.62, 0.7, 1.5, 5.0])
 def test_deep_water_dispersion(period):
     sea = draw(period_s=period)
     wavenumber = np.hypot(sea["wavenumber_x"], sea["wavenumber_y"])
     np.testing.assert_allclose(sea["omega"] ** 2, GRAVITY * wavenumber, rtol=1e-12)
 
 
-@pytest.mark.parametrize("period", [0.4, 0.7, 1.5, 5.0])
+@pytest.mark.parametrize("period", [0.62, 0.7, 1.5, 5.0])
 @pytest.mark.parametrize("components", [1, 12, 200])
 def test_no_wave_is_shorter_than_two_spacings_of_the_hull_points(period, components):
     shortest = 2.0 * make_hull().spacing_m
@@ -184,9 +192,36 @@ def test_directions_spread_around_the_mean():
     assert np.unique(heading).size == heading.size
 
 
-def test_no_two_components_share_a_frequency():
-    assert np.unique(draw()["omega"]).size == 12
-    assert np.unique(draw(period_s=0.714)["omega"]).size == 12
+@pytest.mark.parametrize("components", [2, 12, 200, 1000])
+@pytest.mark.parametrize("period", [0.62, 0.714, 1.5, 30.0])
+def test_no_two_components_share_a_frequency(period, components):
+    omega = draw(period_s=period, num_components=components)["omega"]
+    assert np.unique(omega).size == components
+    # And together they have the energy period of the whole spectrum.
+    energy_period = (2.0 * math.pi / omega).mean()
+    assert energy_period == pytest.approx(waves.energy_period(period), rel=1e-6)
+
+
+def test_a_sea_is_refused_that_the_hull_points_do_not_resolve():
+    assert waves.SHORTEST_PERIOD_S == 0.62
+    draw(period_s=waves.SHORTEST_PERIOD_S)
+    with pytest.raises(ValueError, match=r"period_s=0\.61: only 7\d% .* 75% is needed"):
+        draw(period_s=0.61)
+    with pytest.raises(ValueError, match=r"period_s=0\.4"):
+        draw(period_s=0.4)
+    draw(period_s=0.4, shortest_wave_m=0.1)
+
+
+@pytest.mark.parametrize("sea", ["lake", "rough"])
+def test_no_sea_of_a_preset_is_too_steep_or_outside_the_range(sea):
+    _, heights, periods = episodes(WaterOptions(sea=sea), seeds=range(300))
+    length = GRAVITY * periods**2 / (2.0 * math.pi)
+    assert (heights / length).max() < 1.0 / 15.0
+    (low, high), (short, long) = waves.sea_range(sea)
+    assert low <= heights.min()
+    assert heights.max() <= high
+    assert waves.SHORTEST_PERIOD_S <= short <= periods.min()
+    assert periods.max() <= long <= waves.LONGEST_PERIOD_S
 
 
 @pytest.mark.parametrize(

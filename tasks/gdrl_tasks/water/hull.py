@@ -21,6 +21,8 @@ class HullParameters:
     """Main dimensions and identified coefficients, SI units."""
 
     mass_kg: float = 35.96
+    bare_mass_kg: float = 28.0
+    """Mass of the two hulls and what is in them; the rest is payload in the middle."""
     length_m: float = 1.35
     hull_spacing_m: float = 0.756
     """Distance between the centre lines of the two hulls, twice the thrusters' lever."""
@@ -30,8 +32,6 @@ class HullParameters:
     waterplane_coefficient: float = 0.7
     centre_of_gravity_m: float = 0.15
     """Height of the centre of gravity over the keel."""
-    yaw_inertia_total_kg_m2: float = 10.0
-    """Rigid body and added inertia together."""
     surge_quadratic: float = 17.26
     sway_linear: float = 99.99
     sway_quadratic: float = 99.99
@@ -43,6 +43,8 @@ class HullParameters:
     dead_zone: float = 0.4
     stations: int = 9
     """Hull points along each hull."""
+    acting_draft: float = 0.5
+    """Wetted depth, over the draft, from which on the water acts in full."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,6 +58,8 @@ class Hull:
     mass_kg: float
     draft_m: float
     depth_m: float
+    acting_depth_m: float
+    """Wetted depth of a point from which on the water acts on it in full."""
     spacing_m: float
     """Distance between neighbouring points along a hull."""
     inertia: np.ndarray
@@ -66,6 +70,8 @@ class Hull:
     """Linear damping in the same six directions, ``[6]``."""
     quadratic_damping: np.ndarray
     """Quadratic damping in the same six directions, ``[6]``."""
+    stiffness: np.ndarray
+    """Stiffness of the waterplane in the same six directions, ``[6]``."""
     points: np.ndarray
     """Positions in the body frame, metres, ``[P, 3]``."""
     point_area_m2: float
@@ -113,24 +119,16 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
     natural = math.sqrt(stiffness / (p.mass_kg + heave))
     damping = _section_damping(natural, p.hull_beam_m, draft)
     damping *= 2.0 * p.length_m * p.waterplane_coefficient
-    radius = (0.4 * (p.hull_spacing_m + p.hull_beam_m), 0.25 * p.length_m)
-    # Rounded to what a model in XML carries, so that both know the same rigid body.
-    inertia = np.round(
-        [
-            p.mass_kg * radius[0] ** 2,
-            p.mass_kg * radius[1] ** 2,
-            p.yaw_inertia_total_kg_m2 - yaw_added,
-        ],
-        3,
-    )
     # Heave, roll and pitch damping and added mass act at the hull points; their rigid
     # sums appear here because the equations of motion are solved for them implicitly.
     return Hull(
         mass_kg=p.mass_kg,
         draft_m=draft,
         depth_m=p.depth_m,
+        acting_depth_m=p.acting_draft * draft,
         spacing_m=spacing,
-        inertia=inertia,
+        # Rounded to what a model in XML carries, so that both know the same rigid body.
+        inertia=np.round(_inertia(p), 3),
         added_mass=np.array(
             [
                 0.1 * p.mass_kg,
@@ -154,6 +152,8 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
         quadratic_damping=np.array(
             [p.surge_quadratic, p.sway_quadratic, 0.0, 0.0, 0.0, p.yaw_quadratic]
         ),
+        stiffness=stiffness
+        * np.array([0.0, 0.0, 1.0, mean_square[1], mean_square[0], 0.0]),
         points=points,
         point_area_m2=area,
         point_damping=damping / (2 * p.stations),
@@ -165,6 +165,22 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
         thrust_lag_s=p.thrust_lag_s,
         dead_zone=p.dead_zone,
     )
+
+
+def _inertia(p: HullParameters) -> np.ndarray:
+    """Rigid-body inertia about x, y, z, kg m^2, ``[3]``.
+
+    The two hulls carry their mass evenly over the area of their waterplanes: across each
+    hull evenly over its beam, along it as 1 - |2 x / length|^n, which has the waterplane
+    coefficient n / (n + 1). The payload is compact and in the middle. All mass is spread
+    evenly from keel to deck.
+    """
+    exponent = p.waterplane_coefficient / (1.0 - p.waterplane_coefficient)
+    along = 0.25 * p.length_m**2 * (1.0 / 3.0 - 1.0 / (exponent + 3.0))
+    along *= p.bare_mass_kg / p.waterplane_coefficient
+    across = p.bare_mass_kg * (0.25 * p.hull_spacing_m**2 + p.hull_beam_m**2 / 12.0)
+    upright = p.mass_kg * p.depth_m**2 / 12.0
+    return np.array([across + upright, along + upright, across + along])
 
 
 def _section_damping(omega: float, beam_m: float, draft_m: float) -> float:

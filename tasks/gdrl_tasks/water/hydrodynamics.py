@@ -88,12 +88,15 @@ def hull_wrench(
     to_body = lambda vector: xp.matmul(vector[:, None, :], rotation)[:, 0]  # noqa: E731
     omega_body = qvel[:, 3:]
     omega_world = to_world(omega_body)
+    half = 0.5 * substep_s
 
     # Water at the hull points [W, P]: the surface, and the orbital motion at half draft.
+    # The waves travel in the water, and so with the current.
     kx, ky = sea["wavenumber_x"], sea["wavenumber_y"]
+    carried = current * time_s[:, None]
     phase = (
-        position[..., 0:1] * kx[:, None]
-        + position[..., 1:2] * ky[:, None]
+        (position[..., 0:1] - carried[:, None, 0:1]) * kx[:, None]
+        + (position[..., 1:2] - carried[:, None, 1:2]) * ky[:, None]
         + (sea["phase"] - sea["omega"] * time_s[:, None])[:, None]
     )
     cosine, sine = xp.cos(phase), xp.sin(phase)
@@ -113,88 +116,95 @@ def hull_wrench(
         [
             current[:, 0] + mean(speed * kx / wavenumber, cosine),
             current[:, 1] + mean(speed * ky / wavenumber, cosine),
+            mean(speed, sine),
         ],
         axis=-1,
     )
-    water_acceleration = xp.stack(
+    flat = xp.zeros_like(qvel[:, :1])
+    water_acceleration = xp.concat(
         [
-            mean(speed * frequency * kx / wavenumber, sine),
-            mean(speed * frequency * ky / wavenumber, sine),
+            mean(speed * frequency * kx / wavenumber, sine)[:, None],
+            mean(speed * frequency * ky / wavenumber, sine)[:, None],
+            flat,
         ],
         axis=-1,
     )
 
     # Forces at the points: buoyancy normal to the surface (Froude-Krylov), wave-making
-    # damping and added mass on the motion relative to the water (strip theory).
-    wetted = xp.clip(surface - position[..., 2] + 0.5 * hull.draft_m, 0.0, hull.depth_m)
-    share = xp.clip(wetted / hull.draft_m, 0.0, 1.0)
-    lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * hull.point_area_m2 * wetted
-    sinking = (
+    # damping and added mass on the motion relative to the water (strip theory). The water
+    # acts on a point by its share: the mean of those at the ends of the substep.
+    deep = surface - position[..., 2] + 0.5 * hull.draft_m
+    lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * hull.point_area_m2
+    lift = lift * xp.clip(deep, 0.0, hull.depth_m)
+    rising = (
         qvel[:, 2:3]
         + omega_world[:, 0:1] * arm[..., 1]
         - omega_world[:, 1:2] * arm[..., 0]
         - rise
     )
+    before = xp.clip((deep + half * rising) / hull.acting_depth_m, 0.0, 1.0)
+    after = xp.clip((deep - half * rising) / hull.acting_depth_m, 0.0, 1.0)
+    share = 0.5 * (before + after)
     vertical = lift + share * (
-        hull.point_added_mass * rise_rate - hull.point_damping * sinking
+        hull.point_added_mass * rise_rate - hull.point_damping * rising
     )
     force_points = xp.stack([-lift * slope_x, -lift * slope_y, vertical], axis=-1)
     force = to_body(xp.sum(force_points, axis=1))
     torque = to_body(xp.sum(_cross(xp, arm, force_points), axis=1))
 
-    # Body frame: relative velocity, added-mass forces, drag, thrust.
-    flat = xp.zeros_like(qvel[:, :1])
-    velocity = to_body(qvel[:, :3])
-    relative = to_body(qvel[:, :3] - xp.concat([water_velocity, flat], axis=-1))
-    inflow = to_body(xp.concat([water_acceleration, flat], axis=-1))
+    # On the hull as a whole it acts by the mean share. Water that the hull takes along
+    # from now on has to be brought to its speed (von Karman 1929), water that it leaves
+    # behind keeps its own.
+    wetted = xp.mean(share, axis=-1)[:, None]
+    taken = xp.clip(xp.mean(after - before, axis=-1), 0.0, None)[:, None] / substep_s
     added = xp.asarray(hull.added_mass, dtype=qpos.dtype)
     linear = xp.asarray(hull.linear_damping, dtype=qpos.dtype)
     quadratic = xp.asarray(hull.quadratic_damping, dtype=qpos.dtype)
     inertia = xp.asarray(hull.inertia, dtype=qpos.dtype)
-    planar = xp.asarray([1.0, 1.0, 0.0], dtype=qpos.dtype)
-    drag_force = (linear[:3] + quadratic[:3] * xp.abs(relative)) * planar
-    drag_torque = linear[3:] + quadratic[3:] * xp.abs(omega_body)
-    yaw_only = xp.asarray([0.0, 0.0, 1.0], dtype=qpos.dtype)
+
+    # Body frame: relative velocity, drag, thrust, gravity, water that moves by itself.
+    relative = to_body(qvel[:, :3] - water_velocity)
+    motion = xp.concat([relative, omega_body], axis=-1)
+    # Heave, roll and pitch have their damping at the points.
+    here = xp.asarray([1.0, 1.0, 0.0, 0.0, 0.0, 1.0], dtype=qpos.dtype)
+    resists = wetted * here * (linear + quadratic * xp.abs(motion)) + taken * added
+    drag = resists * motion
     gravity = to_body(xp.concat([flat, flat, flat - GRAVITY_M_S2], axis=-1))
-    total = thrust[:, 0] + thrust[:, 1]
-    turn = hull.lever_m * (thrust[:, 1] - thrust[:, 0])
-    push = xp.stack([total, flat[:, 0], flat[:, 0]], axis=-1)
-    push_torque = xp.stack([flat[:, 0], hull.thrust_height_m * total, turn], axis=-1)
-    # The Munk moment (relative x momentum) is left out: the identified yaw model has no
-    # such term, and with strip-theory sway mass it would make a hull turn on its own
-    # that is known to keep its course (lift of transom and thrusters balances it).
-    momentum = added[:3] * relative
-    spin = added[3:] * omega_body
-    force = (
-        force
-        + push
-        + hull.mass_kg * gravity
-        - hull.mass_kg * _cross(xp, omega_body, velocity)
-        - _cross(xp, omega_body, momentum)
-        - drag_force * relative
-        + added[:3] * inflow * planar
-    )
-    torque = (
-        torque
-        + push_torque
-        - _cross(xp, omega_body, inertia * omega_body)
-        - _cross(xp, omega_body, spin)
-        - drag_torque * yaw_only * omega_body
-    )
+    inflow = to_body(water_acceleration) * here[:3]
+    # A thruster pushes as far as the stern of its hull is in the water, keel down.
+    stern = xp.stack([share[:, share.shape[1] // 2], share[:, 0]], axis=-1)
+    thrust = xp.where(rotation[:, 2, 2:] > 0.0, stern * thrust, 0.0)
+    push = thrust[:, 0:1] + thrust[:, 1:2]
+    turn = hull.lever_m * (thrust[:, 1:2] - thrust[:, 0:1])
 
     # Solve for the acceleration, damping at the middle of the substep.
-    heave = linear[:3] * (1.0 - planar) * xp.mean(share, axis=-1)[:, None]
-    tilt = linear[3:] * (1.0 - yaw_only) * xp.mean(share, axis=-1)[:, None]
-    half = 0.5 * substep_s
-    slope_force = (linear[:3] + 2.0 * quadratic[:3] * xp.abs(relative)) * planar
-    slope_torque = (linear[3:] + 2.0 * quadratic[3:] * xp.abs(omega_body)) * yaw_only
-    acceleration = force / (hull.mass_kg + added[:3] + half * (slope_force + heave))
-    spin_rate = torque / (inertia + added[3:] + half * (slope_torque + tilt))
+    slope = wetted * (linear + 2.0 * quadratic * xp.abs(motion)) + taken * added
+    stiffness = xp.asarray(hull.stiffness, dtype=qpos.dtype)
+    carries = wetted * added
+    moves = carries + half * slope + substep_s**2 / 12.0 * wetted * stiffness
     start = xp.where(time_s > 0.0, 1.0, 0.5)[:, None]
-    acceleration, spin_rate = start * acceleration, start * spin_rate
+    torque = (
+        torque
+        + xp.concat([flat, hull.thrust_height_m * push, turn], axis=-1)
+        - _cross(xp, omega_body, (inertia + carries[:, 3:]) * omega_body)
+        - drag[:, 3:]
+    )
+    spin_rate = start * torque / (inertia + moves[:, 3:])
+    # The added mass turns with the hull. Without the Munk moment (see the README) what
+    # keeps the energy is the Coriolis force of what it has more than in surge.
+    omega_now = omega_body + half * spin_rate
+    force = (
+        force
+        + xp.concat([push, flat, flat], axis=-1)
+        + hull.mass_kg * gravity
+        - drag[:, :3]
+        + carries[:, :3] * inflow
+        + (carries[:, :3] - carries[:, 0:1]) * _cross(xp, omega_now, relative)
+    )
+    acceleration = start * force / (hull.mass_kg + moves[:, :3])
 
     # The wrench that gives MuJoCo's rigid body this acceleration.
-    rigid_force = hull.mass_kg * (acceleration + _cross(xp, omega_body, velocity) - gravity)
+    rigid_force = hull.mass_kg * (acceleration - gravity)
     rigid_torque = inertia * spin_rate + _cross(xp, omega_body, inertia * omega_body)
     return xp.concat([to_world(rigid_force), to_world(rigid_torque)], axis=-1)
 

@@ -21,6 +21,8 @@ _ROW = 64
 """Length of a row of the scratch memory, and so the most points of a hull. A constant:
 the compiler then knows that rows do not overlap."""
 _SURFACE, _SLOPE_X, _SLOPE_Y, _RISE, _RISE_RATE, _COS, _SIN = (_ROW * i for i in range(7))
+_ARM_X, _ARM_Y, _ARM_Z, _FORCE_X, _FORCE_Y, _FORCE_Z = (_ROW * i for i in range(7, 13))
+_BEFORE, _AFTER = _COS, _SIN
 _TWO_OVER_PI = 2.0 / math.pi
 # Half pi in three parts (Cody and Waite 1980): products of the first two with whole
 # numbers below 2**20 are exact.
@@ -44,6 +46,7 @@ def hull_constants(hull: Hull) -> tuple:
         hull.mass_kg,
         hull.draft_m,
         hull.depth_m,
+        hull.acting_depth_m,
         hull.point_area_m2,
         hull.point_damping,
         hull.point_added_mass,
@@ -59,7 +62,8 @@ def hull_constants(hull: Hull) -> tuple:
         hull.added_mass,
         hull.linear_damping,
         hull.quadratic_damping,
-        hull.points,
+        hull.stiffness,
+        np.ascontiguousarray(hull.points.T),
     )
     return stations, hull.spacing_m, scalars, arrays
 
@@ -140,23 +144,28 @@ def substep(
         compensated: Whether the dead zone is compensated.
     """
     stations, spacing, scalars, vectors = hull
-    (mass, draft, depth, area, point_damping, point_added) = scalars[:6]
-    (lever, thrust_height, ahead, astern, lag, dead_zone) = scalars[6:]
-    inertia, added, linear, quadratic, points = vectors
+    (mass, draft, depth, acting, area, point_damping, point_added) = scalars[:7]
+    (lever, thrust_height, ahead, astern, lag, dead_zone) = scalars[7:]
+    inertia, added, linear, quadratic, stiffness, points = vectors
     amplitudes, numbers_x, numbers_y, omegas, phases, decays = sea
     components = amplitudes.shape[1]
     count = 2 * stations
     keep = math.exp(-substep_s / lag)
     mean_gap = -math.expm1(-substep_s / lag) / (substep_s / lag)
     half = 0.5 * substep_s
-    water = np.empty(7 * _ROW)
+    buoyancy = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * area
+    fuller = 1.0 / acting
+    twelfth = substep_s * substep_s / 12.0
+    settled_s = half * linear[2] + twelfth * stiffness[2]
+    settled_p = half * linear[3] + twelfth * stiffness[3]
+    settled_q = half * linear[4] + twelfth * stiffness[4]
+    water = np.empty(13 * _ROW)
     angle = np.empty(3 * components)
     cosines, sinuses = np.empty(3 * components), np.empty(3 * components)
     rotation = np.empty((3, 3))
     for world in ids:
-        # Thrusters.
-        push = 0.0
-        turn = 0.0
+        # Thrusters, port and starboard.
+        push_port = push_starboard = 0.0
         for side in range(2):
             value = command[world, side]
             size = abs(value)
@@ -166,9 +175,10 @@ def substep(
             gap = thrust[world, side] - target
             mean = target + gap * mean_gap
             thrust[world, side] = target + gap * keep
-            push += mean
-            turn += mean if side == 1 else -mean
-        turn *= lever
+            if side == 0:
+                push_port = mean
+            else:
+                push_starboard = mean
 
         # Attitude and hull points.
         w, x, y, z = qpos[world, 3], qpos[world, 4], qpos[world, 5], qpos[world, 6]
@@ -188,24 +198,27 @@ def substep(
 
         # Water at the points: one sine and cosine per hull and component, and one for
         # the spacing; the others by rotation.
-        px, py, pz = points[0, 0], points[0, 1], points[0, 2]
-        port_x = qpos[world, 0] + rotation[0, 0] * px + rotation[0, 1] * py
-        port_y = qpos[world, 1] + rotation[1, 0] * px + rotation[1, 1] * py
-        port_x += rotation[0, 2] * pz
-        port_y += rotation[1, 2] * pz
-        across = points[stations, 1] - py
-        other_x = port_x + rotation[0, 1] * across
-        other_y = port_y + rotation[1, 1] * across
+        px, py, pz = points[0, 0], points[1, 0], points[2, 0]
+        first_x = qpos[world, 0] + rotation[0, 0] * px + rotation[0, 1] * py
+        first_y = qpos[world, 1] + rotation[1, 0] * px + rotation[1, 1] * py
+        first_x += rotation[0, 2] * pz
+        first_y += rotation[1, 2] * pz
+        # The waves travel in the water, and so with the current.
+        first_x -= current[world, 0] * time_s[world]
+        first_y -= current[world, 1] * time_s[world]
+        across = points[1, stations] - py
+        other_x = first_x + rotation[0, 1] * across
+        other_y = first_y + rotation[1, 1] * across
         along_x, along_y = spacing * rotation[0, 0], spacing * rotation[1, 0]
         for c in range(components):
             kx, ky = numbers_x[world, c], numbers_y[world, c]
             moving = phases[world, c] - omegas[world, c] * time_s[world]
             angle[c] = kx * along_x + ky * along_y
-            angle[components + c] = kx * port_x + ky * port_y + moving
+            angle[components + c] = kx * first_x + ky * first_y + moving
             angle[2 * components + c] = kx * other_x + ky * other_y + moving
         sines(angle, cosines, sinuses)
         water[:_COS] = 0.0
-        water_vx, water_vy = current[world, 0], current[world, 1]
+        water_vx, water_vy, water_vz = current[world, 0], current[world, 1], 0.0
         water_ax, water_ay = 0.0, 0.0
         for c in range(components):
             amplitude = amplitudes[world, c]
@@ -245,35 +258,47 @@ def substep(
             water_vy += scale * ky * cos_sum
             water_ax += scale * omega * kx * sin_sum
             water_ay += scale * omega * ky * sin_sum
+            water_vz += speed / count * sin_sum
 
-        # Forces at the points.
-        fx = fy = fz = 0.0
-        tx = ty = tz = 0.0
-        shares = 0.0
+        # Forces at the points, first each on its own, then their sums.
         for i in range(count):
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+            px, py, pz = points[0, i], points[1, i], points[2, i]
             ax = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
             ay = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
             az = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-            wetted = min(
-                max(water[_SURFACE + i] - (qpos[world, 2] + az) + 0.5 * draft, 0.0), depth
-            )
-            share = min(max(wetted / draft, 0.0), 1.0)
-            shares += share
-            lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * area * wetted
-            sinking = vz + spin_x * ay - spin_y * ax - water[_RISE + i]
-            gx = -lift * water[_SLOPE_X + i]
-            gy = -lift * water[_SLOPE_Y + i]
-            gz = lift + share * (
-                point_added * water[_RISE_RATE + i] - point_damping * sinking
-            )
+            deep = water[_SURFACE + i] - (qpos[world, 2] + az) + 0.5 * draft
+            rising = vz + spin_x * ay - spin_y * ax - water[_RISE + i]
+            lift = buoyancy * min(max(deep, 0.0), depth)
+            before = min(max((deep + half * rising) * fuller, 0.0), 1.0)
+            after = min(max((deep - half * rising) * fuller, 0.0), 1.0)
+            waves = point_added * water[_RISE_RATE + i] - point_damping * rising
+            water[_ARM_X + i], water[_ARM_Y + i], water[_ARM_Z + i] = ax, ay, az
+            water[_BEFORE + i], water[_AFTER + i] = before, after
+            water[_FORCE_X + i] = -lift * water[_SLOPE_X + i]
+            water[_FORCE_Y + i] = -lift * water[_SLOPE_Y + i]
+            water[_FORCE_Z + i] = lift + 0.5 * (before + after) * waves
+        fx = fy = fz = 0.0
+        tx = ty = tz = 0.0
+        shares_before = shares_after = 0.0
+        for i in range(count):
+            ax, ay, az = water[_ARM_X + i], water[_ARM_Y + i], water[_ARM_Z + i]
+            gx, gy, gz = water[_FORCE_X + i], water[_FORCE_Y + i], water[_FORCE_Z + i]
+            shares_before += water[_BEFORE + i]
+            shares_after += water[_AFTER + i]
             fx += gx
             fy += gy
             fz += gz
             tx += ay * gz - az * gy
             ty += az * gx - ax * gz
             tz += ax * gy - ay * gx
-        shares /= count
+        shares = 0.5 * (shares_before + shares_after) / count
+        taken = max(shares_after - shares_before, 0.0) / (count * substep_s)
+        push = turn = 0.0
+        if rotation[2, 2] > 0.0:
+            push_starboard *= 0.5 * (water[_BEFORE] + water[_AFTER])
+            push_port *= 0.5 * (water[_BEFORE + stations] + water[_AFTER + stations])
+            push = push_port + push_starboard
+            turn = lever * (push_starboard - push_port)
 
         # Into the body frame: force, torque, velocities, gravity.
         force_x = rotation[0, 0] * fx + rotation[1, 0] * fy + rotation[2, 0] * fz
@@ -282,51 +307,62 @@ def substep(
         torque_x = rotation[0, 0] * tx + rotation[1, 0] * ty + rotation[2, 0] * tz
         torque_y = rotation[0, 1] * tx + rotation[1, 1] * ty + rotation[2, 1] * tz
         torque_z = rotation[0, 2] * tx + rotation[1, 2] * ty + rotation[2, 2] * tz
-        u = rotation[0, 0] * vx + rotation[1, 0] * vy + rotation[2, 0] * vz
-        v = rotation[0, 1] * vx + rotation[1, 1] * vy + rotation[2, 1] * vz
-        s = rotation[0, 2] * vx + rotation[1, 2] * vy + rotation[2, 2] * vz
-        dx, dy = vx - water_vx, vy - water_vy
-        u_r = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * vz
-        v_r = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * vz
-        s_r = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * vz
+        dx, dy, dz = vx - water_vx, vy - water_vy, vz - water_vz
+        u_r = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+        v_r = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+        s_r = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
         inflow_x = rotation[0, 0] * water_ax + rotation[1, 0] * water_ay
         inflow_y = rotation[0, 1] * water_ax + rotation[1, 1] * water_ay
         gravity_x = -GRAVITY_M_S2 * rotation[2, 0]
         gravity_y = -GRAVITY_M_S2 * rotation[2, 1]
         gravity_z = -GRAVITY_M_S2 * rotation[2, 2]
-        centre_x, centre_y, centre_z = q * s - r * v, r * u - p * s, p * v - q * u
-        mx, my, mz = added[0] * u_r, added[1] * v_r, added[2] * s_r
-        drag_x = linear[0] + quadratic[0] * abs(u_r)
-        drag_y = linear[1] + quadratic[1] * abs(v_r)
-        drag_r = linear[5] + quadratic[5] * abs(r)
-        force_x += push + mass * (gravity_x - centre_x) - (q * mz - r * my)
-        force_y += mass * (gravity_y - centre_y) - (r * mx - p * mz)
-        force_z += mass * (gravity_z - centre_z) - (p * my - q * mx)
-        force_x += added[0] * inflow_x - drag_x * u_r
-        force_y += added[1] * inflow_y - drag_y * v_r
-        hx, hy, hz = inertia[0] * p, inertia[1] * q, inertia[2] * r
-        lx, ly, lz = hx + added[3] * p, hy + added[4] * q, hz + added[5] * r
-        torque_x -= q * lz - r * ly
-        torque_y += thrust_height * push - (r * lx - p * lz)
-        torque_z += turn - (p * ly - q * lx) - drag_r * r
-
+        # The part of the water that the hull carries, and what it takes along.
+        carried_x, carried_y = shares * added[0], shares * added[1]
+        carried_z, carried_p = shares * added[2], shares * added[3]
+        carried_q, carried_r = shares * added[4], shares * added[5]
+        linear_u, linear_v = shares * linear[0], shares * linear[1]
+        linear_r = shares * linear[5]
+        quadratic_u = shares * quadratic[0] * abs(u_r)
+        quadratic_v = shares * quadratic[1] * abs(v_r)
+        quadratic_r = shares * quadratic[5] * abs(r)
         # Accelerations with damping at the middle of the substep; the first substep of
         # an episode is half a kick (leapfrog start).
-        slope_u = linear[0] + 2.0 * quadratic[0] * abs(u_r)
-        slope_v = linear[1] + 2.0 * quadratic[1] * abs(v_r)
-        slope_r = linear[5] + 2.0 * quadratic[5] * abs(r)
         start = 1.0 if time_s[world] > 0.0 else 0.5
-        rate_x = start * force_x / (mass + added[0] + half * slope_u)
-        rate_y = start * force_y / (mass + added[1] + half * slope_v)
-        rate_z = start * force_z / (mass + added[2] + half * linear[2] * shares)
-        rate_p = start * torque_x / (inertia[0] + added[3] + half * linear[3] * shares)
-        rate_q = start * torque_y / (inertia[1] + added[4] + half * linear[4] * shares)
-        rate_r = start * torque_z / (inertia[2] + added[5] + half * slope_r)
+        lost = half * taken
+        lx, ly = (inertia[0] + carried_p) * p, (inertia[1] + carried_q) * q
+        lz = (inertia[2] + carried_r) * r
+        torque_x -= q * lz - r * ly + taken * added[3] * p
+        torque_y -= r * lx - p * lz + taken * added[4] * q
+        torque_z -= p * ly - q * lx + (linear_r + quadratic_r + taken * added[5]) * r
+        torque_y += thrust_height * push
+        torque_z += turn
+        slope_p = lost * added[3] + shares * settled_p
+        slope_q = lost * added[4] + shares * settled_q
+        slope_r = lost * added[5] + half * (linear_r + 2.0 * quadratic_r)
+        rate_p = start * torque_x / (inertia[0] + carried_p + slope_p)
+        rate_q = start * torque_y / (inertia[1] + carried_q + slope_q)
+        rate_r = start * torque_z / (inertia[2] + carried_r + slope_r)
+        p_now, q_now, r_now = p + half * rate_p, q + half * rate_q, r + half * rate_r
+        force_x += push + mass * gravity_x + carried_x * inflow_x
+        force_y += mass * gravity_y + carried_y * inflow_y
+        force_z += mass * gravity_z
+        force_x -= (linear_u + quadratic_u + taken * added[0]) * u_r
+        force_y -= (linear_v + quadratic_v + taken * added[1]) * v_r
+        force_z -= taken * added[2] * s_r
+        force_y += (carried_y - carried_x) * (r_now * u_r - p_now * s_r)
+        force_z += (carried_z - carried_x) * (p_now * v_r - q_now * u_r)
+        slope_u = lost * added[0] + half * (linear_u + 2.0 * quadratic_u)
+        slope_v = lost * added[1] + half * (linear_v + 2.0 * quadratic_v)
+        slope_s = lost * added[2] + shares * settled_s
+        rate_x = start * force_x / (mass + carried_x + slope_u)
+        rate_y = start * force_y / (mass + carried_y + slope_v)
+        rate_z = start * force_z / (mass + carried_z + slope_s)
 
         # The wrench that gives the rigid body these accelerations, in the world frame.
-        force_x = mass * (rate_x + centre_x - gravity_x)
-        force_y = mass * (rate_y + centre_y - gravity_y)
-        force_z = mass * (rate_z + centre_z - gravity_z)
+        hx, hy, hz = inertia[0] * p, inertia[1] * q, inertia[2] * r
+        force_x = mass * (rate_x - gravity_x)
+        force_y = mass * (rate_y - gravity_y)
+        force_z = mass * (rate_z - gravity_z)
         torque_x = inertia[0] * rate_p + q * hz - r * hy
         torque_y = inertia[1] * rate_q + r * hx - p * hz
         torque_z = inertia[2] * rate_r + p * hy - q * hx

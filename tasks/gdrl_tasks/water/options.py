@@ -7,6 +7,7 @@ import math
 from typing import Any, Literal
 
 from gdrl_tasks.checks import among, check_choice, check_fields, check_times, within
+from gdrl_tasks.water import waves
 
 DIFFICULTIES: dict[str, dict[str, Any]] = {
     "near": {
@@ -40,9 +41,11 @@ class WaterOptions:
     goal_tolerance_m: float | None = within(None, least=1e-3, most=1e4)
     sea: Literal["calm", "lake", "rough"] | None = None
     significant_wave_height_m: float | None = within(None, least=0.0, most=2.0)
-    """Fixes Hs in every episode; ``None`` draws it from the sea's lake conditions."""
-    peak_period_s: float | None = within(None, least=0.4, most=1e5)
-    """Fixes Tp in every episode; ``None`` draws it from the sea's lake conditions."""
+    """Fixes Hs in every episode; ``None`` draws it from the sea's wind and fetch."""
+    peak_period_s: float | None = within(
+        None, least=waves.SHORTEST_PERIOD_S, most=waves.LONGEST_PERIOD_S
+    )
+    """Fixes Tp in every episode; ``None`` draws it from the sea's wind and fetch."""
     current_m_s: float = within(0.0, least=0.0, most=5.0)
     """Speed of a steady current; its direction is drawn per episode."""
     reward: Literal["sparse", "dense"] = "sparse"
@@ -67,6 +70,7 @@ class WaterOptions:
         check_fields(self)
         check_times(self.control_interval_s, self.substep_s)
         self._check_goal()
+        self._check_steepness()
 
     def _check_goal(self) -> None:
         assert self.goal_distance_m is not None
@@ -80,3 +84,36 @@ class WaterOptions:
                 f"goal_tolerance_m={self.goal_tolerance_m} must be below the nearest goal, "
                 f"goal_distance_m={self.goal_distance_m}"
             )
+
+    def _check_steepness(self) -> None:
+        """No episode may have a sea that is too steep to exist."""
+        assert self.sea is not None
+        height, period = self.significant_wave_height_m, self.peak_period_s
+        if height is None and period is None:
+            # Wind and fetch give the two together.
+            return
+        heights, periods = waves.sea_range(self.sea)
+        highest = heights[1] if height is None else height
+        shortest = periods[0] if period is None else period
+        steepness = highest / waves.wavelength(shortest)
+        if steepness <= waves.STEEPEST:
+            return
+        names = [
+            f"heights up to {highest:.2f} m of sea={self.sea!r}"
+            if height is None
+            else f"significant_wave_height_m={height}",
+            f"peak periods from {shortest:.2f} s of sea={self.sea!r}"
+            if period is None
+            else f"peak_period_s={period}",
+        ]
+        # Rounded to the safe side.
+        allowed = waves.STEEPEST * waves.wavelength(shortest)
+        allowed = math.floor(1e3 * allowed) / 1e3
+        least = math.sqrt(highest / (waves.STEEPEST * waves.wavelength(1.0)))
+        least = math.ceil(1e2 * least) / 1e2
+        raise ValueError(
+            f"{names[0]} with {names[1]}: a steepness (height over wavelength) of "
+            f"{steepness:.3f}, but waves break above 1/{1.0 / waves.STEEPEST:.0f}; set "
+            f"significant_wave_height_m to {allowed} or less, or peak_period_s to {least} "
+            "or more"
+        )

@@ -100,6 +100,13 @@ class WaterTask(NavigationTask):
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
         """Bring the drawn sea, the floating goal and the chase camera up to date."""
         sea = {name: arrays[name] for name in waves.SEA_FIELDS}
+        # The waves travel in the water, and so with the current.
+        carried = arrays["current"] * physics.data.time
+        sea["phase"] = (
+            sea["phase"]
+            - sea["wavenumber_x"] * carried[:, 0:1]
+            - sea["wavenumber_y"] * carried[:, 1:2]
+        )
         draw_sea_surface(physics, arrays, sea)
 
     def extra_arrays(self, num_worlds: int) -> WorldArrays:

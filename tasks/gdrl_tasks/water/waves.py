@@ -17,8 +17,18 @@ from array_api_compat import array_namespace
 
 GRAVITY_M_S2 = 9.81
 _PEAK_ENHANCEMENT = 3.3
-_SPECTRUM_GRID = 4000
+_SPECTRUM_GRID = 40_000
+"""So fine that no two of 1,000 components share a step of it."""
 _HIGHEST_RATIO = 12.0
+STEEPEST = 1.0 / 15.0
+"""Largest significant height over the wavelength of the peak: beyond it waves break until
+it holds again (DNV-RP-C205, section 3.5.5, for peak periods up to 8 s)."""
+LEAST_RESOLVED = 0.75
+"""Least share of a sea's energy in waves that the hull points resolve."""
+SHORTEST_PERIOD_S = 0.62
+"""Shortest peak period of which they do."""
+LONGEST_PERIOD_S = 30.0
+"""Longest peak period: longer waves are not made by wind (Munk 1950)."""
 SEA_FIELDS = ("amplitude", "wavenumber_x", "wavenumber_y", "omega", "phase", "decay")
 
 
@@ -53,6 +63,36 @@ def fetch_limited_sea(wind_m_s: float, fetch_m: float) -> tuple[float, float]:
     return height, 0.286 * fetch ** (1.0 / 3.0) * wind_m_s / GRAVITY_M_S2
 
 
+def sea_range(name: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and most significant height (m) and peak period (s) of a sea's episodes.
+
+    A calm sea has no height; its period, of no account without one, is 1 s.
+
+    Examples:
+        >>> (low, high), (short, long) = sea_range("lake")
+        >>> round(low, 3), round(high, 3), round(short, 2), round(long, 2)
+        (0.034, 0.137, 0.71, 1.43)
+    """
+    preset = SEAS[name]
+    if preset is None:
+        return (0.0, 0.0), (1.0, 1.0)
+    low, high = (
+        fetch_limited_sea(wind, fetch)
+        for wind, fetch in zip(preset.wind_m_s, preset.fetch_m, strict=True)
+    )
+    return (low[0], high[0]), (low[1], high[1])
+
+
+def wavelength(period_s: float) -> float:
+    """Length of a wave in deep water, m, by its period, s: g T^2 / 2 pi.
+
+    Examples:
+        >>> round(wavelength(1.0), 2)
+        1.56
+    """
+    return GRAVITY_M_S2 * period_s**2 / (2.0 * math.pi)
+
+
 def jonswap(omega: Any, height_m: float, period_s: float) -> Any:
     """JONSWAP variance density S(omega), m^2 s/rad, peak enhancement 3.3.
 
@@ -81,8 +121,13 @@ def jonswap(omega: Any, height_m: float, period_s: float) -> Any:
 
 
 @functools.cache
-def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequency ratios w/wp and the running moments m0 and m-1 of the unit spectrum."""
+def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the unit spectrum up to a frequency: what its cut-off there takes and asks for.
+
+    Returns:
+        Frequency ratios w/wp; the running moments m0 and m-1; and the ratio to which the
+        highest frequency rises when all are scaled so that m-1/m0 is that of the whole.
+    """
     ratio = np.linspace(0.3, _HIGHEST_RATIO, _SPECTRUM_GRID)
     density = jonswap(ratio, 1.0, 2.0 * math.pi)
     step = ratio[1] - ratio[0]
@@ -91,12 +136,16 @@ def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         middle = 0.5 * (values[1:] + values[:-1]) * step
         return np.concatenate([[0.0], np.cumsum(middle)])
 
-    return ratio, running(density), running(density / ratio)
+    zeroth, minus_first = running(density), running(density / ratio)
+    whole = minus_first[-1] / zeroth[-1]
+    # Below the first step there is no energy to take a mean of.
+    mean = np.divide(minus_first, zeroth, out=1.0 / ratio, where=zeroth > 0.0)
+    return ratio, zeroth, minus_first, ratio * mean / whole
 
 
 def energy_period(period_s: float) -> float:
     """Energy period Te = m-1/m0 (times 2 pi) of a JONSWAP sea with peak period Tp, s."""
-    _, zeroth, minus_first = _cumulative_moments()
+    _, zeroth, minus_first, _ = _cumulative_moments()
     return period_s * float(minus_first[-1] / zeroth[-1])
 
 
@@ -112,11 +161,12 @@ def draw_sea(
 ) -> dict[str, np.ndarray]:
     """Draw one episode's wave components.
 
-    The spectrum up to the cut-off is split into bins of equal energy; each bin becomes
-    one component at the frequency that keeps the bin's m-1. Energy beyond the cut-off
-    (waves the hull points cannot resolve) is spread over the components by scaling their
-    heights, and their frequencies are scaled so that height and energy period of the sum
-    stay those of the whole spectrum (as far as the cut-off leaves room for that).
+    The spectrum up to a cut-off is split into bins of equal energy; each bin becomes one
+    component at the frequency that keeps the bin's m-1. Energy beyond the cut-off (waves
+    the hull points cannot resolve) is spread over the components by scaling their heights,
+    and their frequencies are scaled so that height and energy period of the sum stay those
+    of the whole spectrum. The cut-off is where its frequency, so scaled, is that of the
+    shortest wave: no component is shorter, and no two are alike.
 
     Args:
         generator: Source of the directions and phases.
@@ -124,24 +174,32 @@ def draw_sea(
         period_s: Peak period Tp, > 0.
         direction_rad: Mean direction of travel in the world frame.
         num_components: Number ``C`` of components.
-        shortest_wave_m: Cut-off wavelength.
+        shortest_wave_m: Length of the shortest wave.
         depth_m: Depth under the instantaneous surface at which ``decay`` holds.
 
     Returns:
         Arrays ``[C]``: ``amplitude`` (m), ``wavenumber_x`` and ``wavenumber_y``
         (rad/m), ``omega`` (rad/s), ``phase`` (rad), ``decay`` (orbital velocity at
         ``depth_m`` relative to the surface).
+
+    Raises:
+        ValueError: If the cut-off leaves less than :data:`LEAST_RESOLVED` of the energy.
     """
-    ratio, zeroth, minus_first = _cumulative_moments()
+    ratio, zeroth, minus_first, scaled = _cumulative_moments()
     peak = 2.0 * math.pi / period_s
-    highest = math.sqrt(GRAVITY_M_S2 * 2.0 * math.pi / shortest_wave_m) / peak
-    total = np.interp(highest, ratio, zeroth)
+    highest = math.sqrt(GRAVITY_M_S2 * 2.0 * math.pi / shortest_wave_m)
+    cut = np.interp(highest / peak, scaled, ratio)
+    total = np.interp(cut, ratio, zeroth)
+    if total < LEAST_RESOLVED * zeroth[-1]:
+        raise ValueError(
+            f"period_s={period_s}: only {total / zeroth[-1]:.0%} of the energy is in waves "
+            f"longer than shortest_wave_m={shortest_wave_m}, {LEAST_RESOLVED:.0%} is needed"
+        )
     edges = np.interp(np.linspace(0.0, total, num_components + 1), zeroth, ratio)
     below = np.interp(edges, ratio, minus_first)
     omega = peak * (total / num_components) / np.diff(below)
     # Waves cut off would have shortened the energy period: shorten the others instead.
-    longer = (below[-1] / total) / (minus_first[-1] / zeroth[-1])
-    omega = np.minimum(omega * longer, peak * highest)
+    omega *= (below[-1] / total) / (minus_first[-1] / zeroth[-1])
     # cos^2 spreading on each side of the mean direction, by its inverse distribution.
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 181)
     share = 0.5 + (angle + 0.5 * np.sin(2.0 * angle)) / math.pi
