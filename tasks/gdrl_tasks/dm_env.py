@@ -35,10 +35,13 @@ from dm_env import specs
 from gdrl_tasks.kernels import all_sane
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.quiet import quiet_engine
+from gdrl_tasks.scenery import cast_fewer_shadows, make_room
 from gdrl_tasks.task import NavigationTask
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
+_SCENE_CALLBACK = 7
+"""Place of the scene's callback among the arguments after height and width."""
 _YES, _NO = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
@@ -64,11 +67,27 @@ class TaskPhysics(mujoco.Physics):
         # A reset clears the engine's counts.
         self.diverged = any(self._warnings.tolist())
 
-    def render(self, *args: Any, **kwargs: Any) -> np.ndarray:
-        """Render, after the scenery was brought up to date."""
+    def render(
+        self, height: int = 240, width: int = 320, *args: Any, **kwargs: Any
+    ) -> np.ndarray:
+        """Render, after the scenery was brought up to date.
+
+        As that of :class:`dm_control.mujoco.Physics`, for pictures of up to 3,840 by
+        2,160 pixels.
+        """
+        make_room(self, height, width)
         if self.before_render is not None:
             self.before_render()
-        return super().render(*args, **kwargs)
+        if len(args) < _SCENE_CALLBACK:
+            own = kwargs.get("scene_callback")
+
+            def change(physics: Any, scene: Any) -> None:
+                cast_fewer_shadows(scene.ptr)
+                if own is not None:
+                    own(physics, scene)
+
+            kwargs["scene_callback"] = change
+        return super().render(height, width, *args, **kwargs)
 
 
 class SuiteTask(base.Task):
@@ -137,6 +156,7 @@ class SuiteTask(base.Task):
         diverged = _YES if physics.diverged or not _is_sane(physics) else _NO
         reward = self.task.finish_step(self.arrays, _ONE_WORLD, qpos, diverged)
         self._reward = float(reward[0])
+        self.task.note_scenery(physics)
 
     def action_spec(self, physics: TaskPhysics) -> specs.Array:
         """Commands in [-1, 1], or a discrete choice."""
