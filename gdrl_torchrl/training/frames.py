@@ -171,8 +171,14 @@ def _pose(environment: Any, replay: _Replay, moment: float) -> None:
 
 def _render(physics: Any, height: int, width: int) -> np.ndarray:
     """Both views side by side, ``[height, 2 width, 3]``."""
-    above = physics.render(height, width, camera_id="top")
-    # The first view brought the scenery up to date, which costs more than rendering.
+    casts = physics.model.light_castshadow
+    light, casts[:] = casts.copy(), False
+    try:
+        # From far above, shadows show little and cost as much as all the rest.
+        above = physics.render(height, width, camera_id="top")
+    finally:
+        casts[:] = light
+    # The first view brought the scenery up to date.
     update, physics.before_render = physics.before_render, None
     try:
         behind = physics.render(height, width, camera_id="chase")

@@ -49,8 +49,9 @@ def add_room_looks(
         height_m: Height of the walls.
     """
     visual = spec.visual
-    visual.headlight.ambient = [0.5, 0.5, 0.5]
-    visual.headlight.diffuse = [0.12, 0.12, 0.12]
+    # Together with the lamp not above 1, where colours would be cut off.
+    visual.headlight.ambient = [0.42, 0.42, 0.42]
+    visual.headlight.diffuse = [0.1, 0.1, 0.1]
     visual.headlight.specular = [0.0, 0.0, 0.0]
     visual.global_.offwidth, visual.global_.offheight = USUAL_PICTURE
     spec.stat.extent = max(half_extent_m)
@@ -74,8 +75,8 @@ def add_room_looks(
         name="tiles",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.87, 0.87, 0.86],
-        rgb2=[0.82, 0.82, 0.81],
+        rgb1=[0.94, 0.94, 0.93],
+        rgb2=[0.88, 0.88, 0.87],
         width=256,
         height=256,
     )
@@ -88,7 +89,7 @@ def add_room_looks(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[-6.0 * x for x in _SUN],
         dir=_SUN,
-        diffuse=[0.56, 0.55, 0.53],
+        diffuse=[0.59, 0.58, 0.56],
         specular=[0.2, 0.2, 0.2],
         castshadow=True,
     )
@@ -196,7 +197,7 @@ def draw_scan(physics: Any, ranges_m: np.ndarray, angles_rad: np.ndarray) -> Non
     }
     ends = np.linspace(_BEAM_START_M, FARTHEST_M, len(_FADES) + 1)
     missed = angles[~hit]
-    for i, (start, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+    for i, (start, end) in enumerate(itertools.pairwise(ends)):
         level = np.ones_like(missed)
         strips[f"fading_{i}"] = _beams(missed, start * level, end * level)
     model = physics.model

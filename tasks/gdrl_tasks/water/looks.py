@@ -14,7 +14,7 @@ SEA_PIXELS = 768
 """Rows and columns of the painted sea."""
 SEA_REACH_M = 115.0
 """From the middle of the painted sea to its edge; a plain of one colour goes on."""
-FAR_COLOUR = (0.67, 0.78, 0.905)
+FAR_COLOUR = (0.72, 0.838, 0.98)
 """Of the sea near the horizon, where it mirrors the sky."""
 
 _SECTORS, _INNERMOST_M, _OUTERMOST_M = 64, 0.25, 110.0
@@ -89,8 +89,9 @@ def add_surroundings(
     """
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = USUAL_PICTURE
-    visual.headlight.ambient = [0.5, 0.5, 0.5]
-    visual.headlight.diffuse = [0.08, 0.08, 0.08]
+    # Together with the sun not above 1, where colours would be cut off.
+    visual.headlight.ambient = [0.42, 0.42, 0.42]
+    visual.headlight.diffuse = [0.06, 0.06, 0.06]
     visual.headlight.specular = [0.0, 0.0, 0.0]
     visual.quality.shadowsize = 2048
     spec.stat.extent = farthest_goal_m
@@ -207,7 +208,7 @@ def add_vessel(spec: mujoco.MjSpec, body: mujoco.MjsBody, hull: Hull) -> None:
         mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
         pos=[-8.0 * x for x in _SUN],
         dir=_SUN,
-        diffuse=[0.585, 0.58, 0.57],
+        diffuse=[0.6, 0.595, 0.585],
         specular=[0.35, 0.35, 0.33],
         castshadow=True,
     )
