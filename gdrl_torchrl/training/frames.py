@@ -218,7 +218,7 @@ def drawn_frames(task: NavigationTask, film: Film) -> Iterator[np.ndarray]:
             if step != drawn:
                 ranges = None if scan is None else scan[step, episode]
                 time_s = step * interval
-                picture = view.draw(path[: step + 1], heading[step], time_s, ranges)
+                picture = view.draw(path[: step + 1], float(heading[step]), time_s, ranges)
                 drawn = step
             yield picture
 

@@ -199,7 +199,8 @@ def test_a_picture_does_not_depend_on_those_rendered_before():
         environment.reset()
     for _ in range(8):
         often.physics.render(16, 16, camera_id="top")
-        often.step(np.ones(2)), once.step(np.ones(2))
+        for environment in (often, once):
+            environment.step(np.ones(2))
     pictures = [e.physics.render(120, 160, camera_id="chase") for e in (often, once)]
     np.testing.assert_array_equal(*pictures)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -257,7 +258,7 @@ def add_vessel(spec: mujoco.MjSpec, body: mujoco.MjsBody, hull: Hull) -> None:
     add("lamp", _SPHERE, _RED, size=[0.026, 0.0, 0.0], pos=[-0.16, 0.0, deck + 0.62])
 
 
-def _add_thruster(add: object, side: str, place: list[float]) -> None:
+def _add_thruster(add: Callable[..., None], side: str, place: list[float]) -> None:
     """A ducted propeller behind a transom, its axis along the vessel."""
     along = [math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
     x, y, z = place
