@@ -132,7 +132,7 @@ def write_video(
     fps: int = 25,
     height: int = 360,
     width: int = 480,
-    max_frames: int = 200,
+    max_frames: int = 150,
 ) -> Literal["rendered", "drawn"]:
     """Write an mp4 of episodes one after another, from above and from behind.
 

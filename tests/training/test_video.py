@@ -20,6 +20,7 @@ from gdrl_tasks import NavigationTask, Outcome, make_task
 from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.indoor.obstacles import clearance
 from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
+from gdrl_tasks.scenery import draw_faster
 from gdrl_torchrl.analysis.captions import caption_height
 from gdrl_torchrl.analysis.layout import posed
 from gdrl_torchrl.analysis.run_files import read_trajectories
@@ -439,8 +440,7 @@ def test_frames_of_control_steps_show_the_recorded_episode(name: str, fps: int) 
     frames = list(frames_of.rendered_frames(task, film))
 
     environment = make_environment(task)
-    quality = environment.physics.model.vis.quality
-    quality.offsamples, quality.shadowsize = 0, 1024
+    draw_faster(environment.physics)
     environment.task.next_episode_seed = 5
     environment.reset()
     try:

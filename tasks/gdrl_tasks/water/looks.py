@@ -8,9 +8,10 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from gdrl_tasks.scenery import USUAL_PICTURE, VISIBLE_ONLY
+from gdrl_tasks.scenery import PAINTED, USUAL_PICTURE, VISIBLE_ONLY
 from gdrl_tasks.water.hull import Hull
 
+SEA_TEXTURE = f"{PAINTED}_sea"
 SEA_PIXELS = 768
 """Rows and columns of the painted sea."""
 SEA_REACH_M = 115.0
@@ -140,7 +141,7 @@ def add_surroundings(
 def _add_sea(spec: mujoco.MjSpec) -> None:
     """A skin that is moved and painted for every picture, and a plain to the horizon."""
     spec.add_texture(
-        name="water",
+        name=SEA_TEXTURE,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
         rgb1=FAR_COLOUR,
@@ -149,12 +150,13 @@ def _add_sea(spec: mujoco.MjSpec) -> None:
         height=SEA_PIXELS,
     )
     water = spec.add_material(name="water", specular=0.0)
-    water.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "water"
+    water.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = SEA_TEXTURE
     spec.add_material(name="far_water", rgba=[*FAR_COLOUR, 1.0], specular=0.0)
     spec.worldbody.add_geom(
         name="horizon",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
+        # In large tiles, which are drawn in a third of the time of those of a metre.
+        size=[0.0, 0.0, 500.0],
         material="far_water",
         # Below the deepest trough near the vessel: the skin hides it there.
         pos=[0.0, 0.0, -3.0],

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from gdrl_tasks.task import WorldArrays
-from gdrl_tasks.water.looks import FAR_COLOUR, sea_mesh, sea_places
+from gdrl_tasks.water.looks import FAR_COLOUR, SEA_TEXTURE, sea_mesh, sea_places
 from gdrl_tasks.water.wake import Track, foam
 from gdrl_tasks.water.waves import elevation
 
@@ -94,7 +94,7 @@ def draw_sea_surface(physics: Any, arrays: WorldArrays, sea: dict[str, Any]) -> 
     skin = model.name2id("sea", "skin")
     first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
     model.skin_vert[first : first + count] = _surface(components, centre, data.time)
-    texture = model.name2id("water", "texture")
+    texture = model.name2id(SEA_TEXTURE, "texture")
     size = model.tex_width[texture]
     # Row 0 of a texture is where its second coordinate is 0.
     picture = _paint(components, centre, data.time, _tracks[physics], size)
