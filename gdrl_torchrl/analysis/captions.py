@@ -45,13 +45,16 @@ class Captions:
         self._font = ImageFont.truetype(fonts / "DejaVuSans.ttf", size)
         self._bold = ImageFont.truetype(fonts / "DejaVuSans-Bold.ttf", size)
 
-    def text(self, episode: int, step: int) -> tuple[str, str, str, str]:
+    def text(self, episode: int, step: float) -> tuple[str, str, str, str]:
         """Episode, time, distance to the goal, and how the episode stands."""
         data = self.trajectories
         time_s = step * float(data["control_interval_s"])
-        distance_m = float(
-            np.hypot(*(data["goal"][episode] - data["position"][step, episode]))
-        )
+        before = min(int(step), len(data["position"]) - 1)
+        position = data["position"][before, episode]
+        if step > before:
+            after = data["position"][before + 1, episode]
+            position = position + (step - before) * (after - position)
+        distance_m = float(np.hypot(*(data["goal"][episode] - position)))
         ended = step >= data["steps"][episode]
         outcome = data["outcome_names"][data["outcome"][episode] if ended else 0]
         return (
@@ -61,13 +64,13 @@ class Captions:
             str(outcome),
         )
 
-    def under(self, frame: np.ndarray, episode: int, step: int) -> np.ndarray:
+    def under(self, frame: np.ndarray, episode: int, step: float) -> np.ndarray:
         """Put the caption of a control step under a frame.
 
         Args:
             frame: RGB image, uint8 ``[H, W, 3]``.
             episode: Number of the episode, from 0.
-            step: Control steps since its start.
+            step: Control steps since its start; also between two of them.
 
         Returns:
             RGB image, uint8 ``[H + caption_height(W), W, 3]``.

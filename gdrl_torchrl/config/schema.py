@@ -91,7 +91,7 @@ class LoggerConfig:
     """What is written beside ``metrics.csv``."""
 
     tensorboard: bool = True
-    video_episodes: int = within(4, least=0, most=1000)
+    video_episodes: int = within(2, least=0, most=1000)
     """Held-out episodes in the video; 0 makes none."""
 
     def __post_init__(self) -> None:

@@ -92,6 +92,7 @@ class SuiteTask(base.Task):
         diverged = _YES if physics.diverged or not _is_sane(physics) else _NO
         reward = self.task.finish_step(physics.arrays, _ONE_WORLD, qpos, diverged)
         physics.reward = float(reward[0])
+        self.task.note_scenery(physics)
 
     def action_spec(self, physics: TaskPhysics) -> specs.Array:
         """Commands in [-1, 1], or a discrete choice."""

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
+
+LARGEST_PICTURE = (3840, 2160)
+"""Width and height, pixels, up to which :func:`make_room` goes."""
+USUAL_PICTURE = (1280, 960)
+"""Width and height that models ask for: a larger buffer takes up to 400 MB more."""
+PAINTED = "painted"
+"""How names of textures begin that a task paints for every picture, at any size."""
+VISIBLE_ONLY = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0.0}
+"""Of geoms that touch nothing, weigh nothing and are not seen by a lidar."""
 
 
 def without_scenery(xml: str) -> mujoco.MjModel:
@@ -46,3 +57,52 @@ def without_scenery(xml: str) -> mujoco.MjModel:
         if body.mocap and not body.bodies and not body.geoms:
             spec.delete(body)
     return spec.compile()
+
+
+def draw_faster(physics: Any) -> None:
+    """Let a physics that has rendered nothing yet draw coarser, as films are drawn.
+
+    Edges are not smoothed, and shadows and painted surfaces have half of the pixels
+    each way or less.
+    """
+    model = physics.model
+    model.vis.quality.offsamples = 0
+    model.vis.quality.shadowsize = min(1024, model.vis.quality.shadowsize)
+    for texture in range(model.ntex):
+        if model.id2name(texture, "texture").startswith(PAINTED):
+            model.tex_width[texture] //= 2
+            model.tex_height[texture] //= 2
+
+
+def make_room(physics: Any, height: int, width: int) -> None:
+    """Let a dm_control physics render pictures larger than its model asked for.
+
+    Args:
+        physics: The physics; beyond :data:`LARGEST_PICTURE` it is left as it is.
+        height: Rows of the picture.
+        width: Columns of the picture.
+    """
+    size = physics.model.vis.global_
+    fits = width <= size.offwidth and height <= size.offheight
+    if fits or width > LARGEST_PICTURE[0] or height > LARGEST_PICTURE[1]:
+        return
+    # First: there may be no context yet, and one is made for the size of the model.
+    contexts = physics.contexts
+    size.offwidth, size.offheight = max(width, size.offwidth), max(height, size.offheight)
+    with contexts.gl.make_current() as context:
+        context.call(
+            mujoco.mjr_resizeOffscreen, size.offwidth, size.offheight, contexts.mujoco.ptr
+        )
+
+
+def cast_fewer_shadows(scene: mujoco.MjvScene) -> None:
+    """Let skins and planes of a scene cast no shadow: water, floors, beams of a lidar.
+
+    Nothing is below water and floor, and the map of shadows is too coarse for a surface
+    that is both in it and in the light: it gets specks. What MuJoCo takes for
+    decoration is seen but not in the map.
+    """
+    geom = mujoco.mjtGeom
+    for seen in scene.geoms[: scene.ngeom]:
+        if seen.type in (geom.mjGEOM_SKIN, geom.mjGEOM_PLANE):
+            seen.category = mujoco.mjtCatBit.mjCAT_DECOR

@@ -281,6 +281,9 @@ class NavigationTask(abc.ABC):
             yaw: Their headings, radians, ``[K]``, always finite.
         """
 
+    def note_scenery(self, physics: Any) -> None:
+        """Remember what only the eye sees of a step, on the route that can render."""
+
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
         """Bring what only the eye sees up to date before a frame is rendered."""
 

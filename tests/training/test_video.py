@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from gdrl_tasks import NavigationTask, Outcome, make_task
 from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.indoor.obstacles import clearance
 from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
+from gdrl_tasks.scenery import draw_faster
 from gdrl_torchrl.analysis.captions import caption_height
 from gdrl_torchrl.analysis.layout import posed
 from gdrl_torchrl.analysis.run_files import read_trajectories
@@ -224,6 +227,8 @@ def test_trajectories_survive_the_file(tmp_path: Path, short_task: NavigationTas
 def test_bad_requests_name_the_value(tmp_path: Path, short_task: NavigationTask) -> None:
     with pytest.raises(ValueError, match="at least one episode"):
         record_trajectories(short_task, drift(short_task), [])
+    with pytest.raises(ValueError, match="fps=0 must be at least 1"):
+        write_video(short_task, drift(short_task), SEEDS, tmp_path / "x.mp4", fps=0)
     with pytest.raises(ValueError, match="height=63 must be even"):
         write_video(short_task, drift(short_task), SEEDS, tmp_path / "x.mp4", height=63)
 
@@ -267,36 +272,68 @@ def test_top_camera_holds_the_arena_and_chase_camera_the_robot(arena: str) -> No
         environment.close()
 
 
-def test_beams_are_drawn_where_the_lidar_sees() -> None:
+@pytest.mark.parametrize("report", ["exact", "held and noisy"])
+def test_beams_end_on_what_they_hit_and_fade_out_where_they_hit_nothing(
+    report: str,
+) -> None:
     from gdrl_tasks.dm_env import make_environment
 
-    task = make_task("indoor", arena="paper", num_beams=72, field_of_view_deg=360.0)
+    options: dict[str, Any] = {"num_beams": 72, "field_of_view_deg": 360.0}
+    if report == "held and noisy":
+        options |= {"scan_hold": True, "range_noise": True}
+    task = make_task("indoor", arena="paper", **options)
     environment = make_environment(task)
-    physics, arrays = environment.physics, environment.task.arrays
+    arrays, data = environment.task.arrays, environment.physics.data
     environment.task.next_episode_seed = 0
     environment.reset()
+    held = 0
+    for _ in range(8):
+        before = arrays["scan"].copy()
+        environment.step(4)
+        held += np.array_equal(arrays["scan"], before)
+    assert held >= (report == "held and noisy")
 
-    task.draw_scenery(physics, arrays)
+    task.draw_scenery(environment.physics, arrays)
 
+    strips = _strips(environment.physics)
+    shapes = task.arena.shapes
+    for name in ("beams", "hits"):
+        ends = strips[name][:, 1:3].mean(axis=1)
+        assert len(ends) > 20
+        places = np.repeat(arrays["obstacles"], len(ends), axis=0)
+        distance = clearance(ends[:, :2], places, shapes.is_box, shapes.half_size)
+        np.testing.assert_allclose(distance, 0.0, atol=1e-3)
+    parts = [name for name in strips if name.startswith("fading")]
+    # All beams are drawn that fit, and each once.
+    assert len(strips["beams"]) + len(strips[parts[0]]) == 36
+    middle, _ = task.body_centre(data.qpos[None])
+    reach = [
+        np.hypot(*(strips[name][:, 1:3].mean(axis=1)[:, :2] - middle).T) for name in parts
+    ]
+    np.testing.assert_allclose(reach[-1], 3.5, atol=1e-3)
+    assert all((near < far).all() for near, far in itertools.pairwise(reach))
+    opacity = [environment.physics.named.model.skin_rgba[name, "a"] for name in parts]
+    assert opacity == sorted(opacity, reverse=True)
+    assert opacity[-1] < 0.1
+    for corners in strips.values():
+        # The robot leans back by a thousandth as it drives.
+        np.testing.assert_allclose(corners[..., 2], LIDAR_HEIGHT_M, atol=5e-3)
+
+
+def _strips(physics: Any) -> dict[str, np.ndarray]:
+    """Corners of the drawn strips by skin, as a renderer gets them, ``[N, 4, 3]``."""
     model, data = physics.model.ptr, physics.data.ptr
     scene = mujoco.MjvScene(model, 1000)
     option, view = mujoco.MjvOption(), mujoco.MjvCamera()
-    mujoco.mjv_updateScene(
-        model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene
-    )
-    skin = physics.model.name2id("beams", "skin")
-    first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
-    corners = scene.skinvert.reshape(-1, 3)[first : first + count].reshape(-1, 4, 3)
-    starts, ends = corners[:, [0, 3]].mean(axis=1), corners[:, 1:3].mean(axis=1)
-    places, shapes = np.repeat(arrays["obstacles"], len(ends), axis=0), task.arena.shapes
-    distance = clearance(ends[:, :2], places, shapes.is_box, shapes.half_size)
-    assert len(ends) == 36
-    hits = np.hypot(*(ends - starts)[:, :2].T) < 3.4
-    assert hits.sum() > 20
-    np.testing.assert_allclose(distance[hits], 0.0, atol=1e-4)
-    np.testing.assert_allclose(corners[..., 2], LIDAR_HEIGHT_M, atol=1e-3)
-    middle, _ = task.body_centre(data.qpos[None])
-    np.testing.assert_allclose(np.hypot(*(starts[:, :2] - middle).T), 0.06, atol=1e-3)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(model, data, option, None, view, everything, scene)
+    vertices, strips = scene.skinvert.reshape(-1, 3), {}
+    for skin in range(model.nskin):
+        first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
+        corners = vertices[first : first + count].reshape(-1, 4, 3)
+        drawn = np.ptp(corners, axis=1).max(axis=-1) > 1e-6
+        strips[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SKIN, skin)] = corners[drawn]
+    return strips
 
 
 @pytest.mark.render
@@ -372,21 +409,100 @@ print(write_video(task, act, {SEEDS}, {str(path)!r}, **size))
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-def test_long_episodes_are_shown_in_fewer_frames() -> None:
+def test_films_run_at_a_whole_multiple_of_real_time() -> None:
     short_task = make_task("water", step_limit=3)
     recorded = record_trajectories(short_task, drift(short_task), [0, 1], num_threads=1)
     recorded["steps"] = np.array([100, 31])
 
-    def film(**options: object) -> frames_of.Film:
-        options = {"fps": None, "height": 2, "width": 2, "max_frames": 999} | options
-        return frames_of.Film.of(recorded, **options)
+    def film(max_frames: int) -> frames_of.Film:
+        return frames_of.Film.of(recorded, fps=25, height=2, width=2, max_frames=max_frames)
 
-    every, third = film(), film(max_frames=50)
-    assert (every.stride, every.fps, every.speed) == (1, 8, 2.0)
-    assert (third.stride, third.fps, third.speed) == (3, 6, 4.5)
-    assert third.steps_shown(1) == [*range(0, 31, 3), 31]
-    assert every.num_frames == 101 + 32 + 2 * 8
-    assert film(fps=20).speed == 5.0
+    # 32.75 s are 818.75 frames of a 25th of a second.
+    real, faster = film(999), film(300)
+    assert (real.speed, faster.speed) == (1, 3)
+    moments = faster.moments(1)
+    # Three 25ths of a second are 0.48 control steps of 0.25 s.
+    np.testing.assert_allclose(moments[:-1], 0.48 * np.arange(len(moments) - 1))
+    assert moments[-1] == 31.0
+    assert 12.0 in moments
+    assert real.num_frames == (625 + 1) + (194 + 1) + 2 * 25
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(("name", "fps"), [("water", 4), ("indoor", 25)])
+def test_frames_of_control_steps_show_the_recorded_episode(name: str, fps: int) -> None:
+    from gdrl_tasks.dm_env import make_environment
+
+    task = make_task(name, step_limit=4)
+    recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
+    # As many frames as control steps: 4 a second, and 25 at three times real time.
+    film = frames_of.Film(recorded, {4: 1, 25: 3}[fps], fps, 96, 128)
+    frames = list(frames_of.rendered_frames(task, film))
+
+    environment = make_environment(task)
+    draw_faster(environment.physics)
+    environment.task.next_episode_seed = 5
+    environment.reset()
+    try:
+        for step, frame in enumerate(frames):
+            behind = environment.physics.render(96, 128, camera_id="chase")
+            difference = np.abs(frame[:, 128:].astype(int) - behind)
+            assert difference.max() <= 3
+            if step < 4:
+                environment.step(recorded["action"][step, 0])
+    finally:
+        environment.close()
+    assert len(frames) == 5
+    assert (frames[0] != frames[-1]).any()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_replay_for_a_film_has_the_recorded_states_bit_for_bit(name: str) -> None:
+    from gdrl_tasks.dm_env import make_environment
+
+    task = make_task(name, step_limit=20)
+    recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
+    steps, actions = int(recorded["steps"][0]), recorded["action"][:, 0]
+    noted, plain = make_environment(task), make_environment(task)
+    for environment in (noted, plain):
+        environment.task.next_episode_seed = 5
+
+    replay = frames_of._replay(noted, actions)
+
+    count = task.spec.num_substeps
+    assert len(replay.qpos) == steps * count + 1
+    position, heading = task.planar_pose(replay.qpos[::count])
+    np.testing.assert_array_equal(position, recorded["position"][: steps + 1, 0])
+    np.testing.assert_array_equal(heading, recorded["heading"][: steps + 1, 0])
+    plain.reset()
+    for step in range(steps):
+        plain.step(actions[step])
+        after = replay.qpos[(step + 1) * count]
+        np.testing.assert_array_equal(after, plain.physics.data.qpos)
+    np.testing.assert_array_equal(noted.physics.get_state(), plain.physics.get_state())
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_frames_between_substeps_lie_between_their_states(name: str) -> None:
+    from gdrl_tasks.dm_env import make_environment
+
+    task = make_task(name, step_limit=6)
+    recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
+    played, shown = make_environment(task), make_environment(task)
+    played.task.next_episode_seed = shown.task.next_episode_seed = 5
+    replay = frames_of._replay(played, recorded["action"][:, 0])
+    shown.reset()
+    count = task.spec.num_substeps
+
+    frames_of._pose(shown, replay, 2.25 / count)
+
+    data = shown.physics.data
+    before, after = replay.qpos[2], replay.qpos[3]
+    np.testing.assert_allclose(
+        data.qpos[:3], 0.75 * before[:3] + 0.25 * after[:3], atol=1e-12
+    )
+    assert np.linalg.norm(data.qpos[3:7]) == pytest.approx(1.0)
+    assert data.time == pytest.approx(2.25 * task.spec.substep_s)
 
 
 def test_backend_that_is_not_there_is_found_out_in_another_process() -> None:
@@ -420,12 +536,13 @@ def _write(task: NavigationTask, path: Path) -> str:
 
 
 def _check(path: Path, task: NavigationTask) -> np.ndarray:
-    """Two episodes of four frames each, the last of which stays for a second."""
+    """Two episodes of three control steps; the last frame of each stays for a second."""
     frames = iio.imread(path)
-    fps = round(2.0 / task.spec.control_interval_s)
+    # Real time: a frame every 40 ms of three control steps, and the last moment's.
+    shown = math.ceil(3 * task.spec.control_interval_s / 0.04 - 1e-6) + 1
     size = (HEIGHT + caption_height(2 * WIDTH), 2 * WIDTH, 3)
-    assert frames.shape == (2 * (4 + fps), *size)
-    assert iio.immeta(path)["fps"] == fps
+    assert frames.shape == (2 * (shown + 25), *size)
+    assert iio.immeta(path)["fps"] == 25
     assert iio.immeta(path)["codec"] == "h264"
     assert frames.std() > 10
     assert not list(path.parent.glob(".*partial*"))

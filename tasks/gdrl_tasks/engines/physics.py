@@ -10,9 +10,12 @@ import numpy as np
 from dm_control import mujoco
 
 from gdrl_tasks.quiet import quiet_engine
+from gdrl_tasks.scenery import cast_fewer_shadows, make_room
 from gdrl_tasks.task import NavigationTask, WorldArrays
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
+_SCENE_CALLBACK = 7
+"""Place of the scene's callback among arguments of ``render`` after height and width."""
 _ENGINE_STATE = int(engine.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -198,14 +201,30 @@ class TaskPhysics(mujoco.Physics):
         """Bring the scenery up to date; None in its place keeps it as it was drawn."""
         self.task.draw_scenery(self, self.arrays)
 
-    def render(self, *args: Any, **kwargs: Any) -> np.ndarray:
-        """Render, after the scenery was brought up to date; the state stays as it is."""
+    def render(
+        self, height: int = 240, width: int = 320, *args: Any, **kwargs: Any
+    ) -> np.ndarray:
+        """Render, after the scenery was brought up to date; the state stays as it is.
+
+        As that of :class:`dm_control.mujoco.Physics`, for pictures of up to 3,840 by
+        2,160 pixels.
+        """
+        make_room(self, height, width)
         # The scenery moves bodies by hand, which belong to the state.
         moved = self.data.mocap_pos.copy(), self.data.mocap_quat.copy()
         if self.before_render is not None:
             self.before_render()
         self.data.mocap_pos[:], self.data.mocap_quat[:] = moved
-        return super().render(*args, **kwargs)
+        if len(args) < _SCENE_CALLBACK:
+            own = kwargs.get("scene_callback")
+
+            def change(physics: Any, scene: Any) -> None:
+                cast_fewer_shadows(scene.ptr)
+                if own is not None:
+                    own(physics, scene)
+
+            kwargs["scene_callback"] = change
+        return super().render(height, width, *args, **kwargs)
 
 
 def _num_floats(values: np.ndarray) -> int:

@@ -6,19 +6,16 @@ otherwise; see the README of this folder.
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 
+from gdrl_tasks.indoor.looks import add_robot_looks, add_wheel_looks
 from gdrl_tasks.indoor.obstacles import ABSENT_M, Shapes
 from gdrl_tasks.indoor.scenery import (
     OBSTACLE_COLOUR,
-    TYRE_COLOUR,
-    VISIBLE_ONLY,
     WALL_COLOUR,
+    add_corners,
     add_goal_looks,
-    add_robot_looks,
     add_room_looks,
     add_scan,
 )
@@ -111,7 +108,8 @@ def _add_room(
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
+        # Drawn in tiles of this size: those of a metre take a third of all rendering.
+        size=[0.0, 0.0, 20.0],
         material="floor",
         contype=_FLOOR_BIT,
         conaffinity=0,
@@ -138,6 +136,7 @@ def _add_room(
             condim=1,
             group=OBSTACLE_GROUP,
         )
+    add_corners(spec, half_extent_m, shapes.height_m)
     add_goal_looks(world.add_body(name="goal", mocap=True), goal_tolerance_m)
 
 
@@ -179,9 +178,7 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
         mass=0.0,
         group=4,
     )
-    add_robot_looks(
-        body, middle_x_m=BODY_X_M, floor_z_m=-WHEEL_RADIUS_M, radius_m=FOOTPRINT_M
-    )
+    add_robot_looks(spec, body, middle_x_m=BODY_X_M, floor_z_m=-WHEEL_RADIUS_M)
     add_scan(spec, "robot", [BODY_X_M, 0.0, LIDAR_HEIGHT_M - WHEEL_RADIUS_M])
     gain = _ROTOR_INERTIA_KG_M2 + 0.5 * 1.05 * WHEEL_RADIUS_M**2
     gain = round(gain / _SERVO_TIME_S, 4)
@@ -212,14 +209,7 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
             mass=0.0,
             group=4,
         )
-        wheel.add_geom(
-            name=f"{side}_rim",
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[WHEEL_RADIUS_M, 0.009, 0.0],
-            quat=[math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0],
-            rgba=TYRE_COLOUR,
-            **VISIBLE_ONLY,
-        )
+        add_wheel_looks(wheel, side, WHEEL_RADIUS_M)
         servo = spec.add_actuator(
             name=f"{side}_wheel",
             target=f"{side}_wheel",

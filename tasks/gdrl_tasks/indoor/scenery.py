@@ -1,7 +1,8 @@
-"""What only the eye sees: light and colours, the goal's mark, cameras, lidar beams."""
+"""What only the eye sees of the room: light and colours, the goal's mark, beams."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -9,28 +10,32 @@ import mujoco
 import numpy as np
 
 from gdrl_tasks.indoor.lidar import FARTHEST_M
+from gdrl_tasks.scenery import USUAL_PICTURE, VISIBLE_ONLY
 
-WALL_COLOUR = [0.36, 0.4, 0.45, 1.0]
-OBSTACLE_COLOUR = [0.36, 0.55, 0.72, 1.0]
-TYRE_COLOUR = [0.1, 0.1, 0.11, 1.0]
-VISIBLE_ONLY = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0.0}
-"""Of geoms that touch nothing, weigh nothing and are not seen by the lidar."""
+_VERMILION = [0.9, 0.33, 0.05, 1.0]
+WALL_COLOUR = [0.5, 0.53, 0.57, 1.0]
+OBSTACLE_COLOUR = [0.3, 0.5, 0.7, 1.0]
 
-_DARK, _GREY = [0.17, 0.18, 0.2, 1.0], [0.5, 0.52, 0.55, 1.0]
-_YELLOW, _VERMILION = [0.96, 0.78, 0.12, 1.0], [0.86, 0.33, 0.05, 1.0]
+_CORNER_COLOUR, _CORNER_M = [0.42, 0.45, 0.49, 1.0], 0.055
+
+_SUN = (0.42, 0.6, -1.0)
+"""Direction of the light: from aside, so that no two faces of a box are equally light."""
+_ZENITH, _NADIR = (0.62, 0.74, 0.86), (0.96, 0.97, 0.98)
 
 _TOP_FOVY_DEG = 30.0
 _TOP_MARGIN_M = 0.35
 """Of floor around the walls in the view from above."""
 _TOP_ASPECT = 4.0 / 3.0
 """Width over height of the narrowest picture that holds the arena's length."""
-_CHASE_BEHIND_M, _CHASE_HEIGHT_M, _CHASE_DOWN_DEG = 0.85, 0.62, 24.0
 
 _MOST_BEAMS = 36
 """As many beams are drawn at most, evenly chosen: more hide the floor."""
-_BEAM_START_M = 0.06
-_BEAM_HALF_WIDTHS_M, _HIT_HALF_WIDTHS_M = [0.003, 0.018], [0.012, 0.035]
+_BEAM_START_M = 0.04
+_BEAM_HALF_WIDTHS_M, _HIT_HALF_WIDTHS_M = [0.002, 0.014], [0.010, 0.030]
 """At the lidar and at its range: thin lines from behind, and a pixel from above."""
+_BEAM_OPACITY = 0.4
+_FADES = np.linspace(0.9, 0.1, 6)
+"""Opacity of the parts of a beam that hits nothing, as shares of that of one that does."""
 
 
 def add_room_looks(
@@ -43,21 +48,26 @@ def add_room_looks(
         half_extent_m: Half the arena's length and width.
         height_m: Height of the walls.
     """
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.2, 0.2, 0.2]
-    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-    spec.visual.global_.offwidth = 1280
-    spec.visual.global_.offheight = 960
+    visual = spec.visual
+    # Together with the lamp not above 1, where colours would be cut off.
+    visual.headlight.ambient = [0.42, 0.42, 0.42]
+    visual.headlight.diffuse = [0.1, 0.1, 0.1]
+    visual.headlight.specular = [0.0, 0.0, 0.0]
+    visual.global_.offwidth, visual.global_.offheight = USUAL_PICTURE
     spec.stat.extent = max(half_extent_m)
     spec.stat.center = [0.0, 0.0, 0.0]
-    spec.visual.map.znear = 0.01
-    spec.visual.map.zfar = 40.0
+    visual.map.znear = 0.01
+    visual.map.zfar = 40.0
+    # The corners of the arena, seen by the light.
+    visual.map.shadowclip = 1.02 * math.hypot(*half_extent_m) / max(half_extent_m)
+    # The sky's own colour at the horizon: with another one there is a stripe.
+    visual.rgba.haze = [*(0.5 * (np.array(_ZENITH) + _NADIR)), 1.0]
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.62, 0.74, 0.86],
-        rgb2=[0.93, 0.95, 0.97],
+        rgb1=_ZENITH,
+        rgb2=_NADIR,
         width=64,
         height=384,
     )
@@ -65,8 +75,8 @@ def add_room_looks(
         name="tiles",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.86, 0.87, 0.88],
-        rgb2=[0.81, 0.82, 0.83],
+        rgb1=[0.94, 0.94, 0.93],
+        rgb2=[0.88, 0.88, 0.87],
         width=256,
         height=256,
     )
@@ -77,13 +87,11 @@ def add_room_looks(
     spec.worldbody.add_light(
         name="lamp",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.0, 0.0, 6.0],
-        # From aside, so that no two faces of a box are equally light.
-        dir=[0.3, 0.55, -1.0],
-        diffuse=[0.5, 0.5, 0.48],
-        specular=[0.1, 0.1, 0.1],
-        # Shadows take ten times as long as all the rest where the processor renders.
-        castshadow=False,
+        pos=[-6.0 * x for x in _SUN],
+        dir=_SUN,
+        diffuse=[0.59, 0.58, 0.56],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=True,
     )
     length, width = (half + _TOP_MARGIN_M for half in half_extent_m)
     away = max(width, length / _TOP_ASPECT) / math.tan(0.5 * math.radians(_TOP_FOVY_DEG))
@@ -93,6 +101,31 @@ def add_room_looks(
         xyaxes=[1, 0, 0, 0, 1, 0],
         fovy=_TOP_FOVY_DEG,
     )
+
+
+def add_corners(
+    spec: mujoco.MjSpec, half_extent_m: tuple[float, float], height_m: float
+) -> None:
+    """Add posts where walls overlap, which would be lit twice there.
+
+    Args:
+        spec: The model, with its walls: their numbers stay what they are.
+        half_extent_m: Half the arena's length and width.
+        height_m: Height of the walls.
+    """
+    for number, (x, y) in enumerate(itertools.product((-1.0, 1.0), repeat=2)):
+        spec.worldbody.add_geom(
+            name=f"corner_{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[_CORNER_M, _CORNER_M, 0.5 * height_m + 0.002],
+            pos=[
+                x * (half_extent_m[0] + 0.05),
+                y * (half_extent_m[1] + 0.05),
+                0.5 * height_m + 0.002,
+            ],
+            rgba=_CORNER_COLOUR,
+            **VISIBLE_ONLY,
+        )
 
 
 def add_goal_looks(goal: mujoco.MjsBody, tolerance_m: float) -> None:
@@ -118,43 +151,6 @@ def add_goal_looks(goal: mujoco.MjsBody, tolerance_m: float) -> None:
         )
 
 
-def add_robot_looks(
-    body: mujoco.MjsBody, *, middle_x_m: float, floor_z_m: float, radius_m: float
-) -> None:
-    """Add decks with the lidar on top, what is ahead, and a camera behind.
-
-    Args:
-        body: Body of the robot.
-        middle_x_m: Middle of the footprint in the body's frame.
-        floor_z_m: Height of the floor in the body's frame.
-        radius_m: Radius of the footprint.
-    """
-    down = math.radians(_CHASE_DOWN_DEG)
-    body.add_camera(
-        name="chase",
-        pos=[-_CHASE_BEHIND_M, 0.0, floor_z_m + _CHASE_HEIGHT_M],
-        xyaxes=[0.0, -1.0, 0.0, math.sin(down), 0.0, math.cos(down)],
-        fovy=50.0,
-    )
-    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
-    for name, shape, size, ahead_m, height_m, colour in (
-        # Instead of the shadow that the lamp does not cast.
-        ("footprint", cylinder, [radius_m, 0.001, 0.0], 0.0, 0.002, [0.1, 0.1, 0.12, 0.45]),
-        ("core", box, [0.06, 0.062, 0.048], 0.0, 0.085, _GREY),
-        ("deck", box, [0.068, 0.068, 0.006], 0.0, 0.135, _YELLOW),
-        ("lidar", cylinder, [0.035, 0.018, 0.0], 0.0, 0.16, _DARK),
-        ("bow", box, [0.016, 0.03, 0.007], 0.055, 0.136, _VERMILION),
-    ):
-        body.add_geom(
-            name=name,
-            type=shape,
-            size=size,
-            pos=[middle_x_m + ahead_m, 0.0, floor_z_m + height_m],
-            rgba=colour,
-            **VISIBLE_ONLY,
-        )
-
-
 def add_scan(spec: mujoco.MjSpec, body: str, lidar_m: list[float]) -> None:
     """Add skins on which :func:`draw_scan` draws beams; they cost the physics nothing.
 
@@ -165,8 +161,10 @@ def add_scan(spec: mujoco.MjSpec, body: str, lidar_m: list[float]) -> None:
     """
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (4 * np.arange(_MOST_BEAMS)[:, None, None] + triangles).ravel()
-    for name, opacity in (("beams", 0.35), ("hits", 0.9)):
-        skin = spec.add_skin(name=name, rgba=[0.84, 0.15, 0.16, opacity])
+    opacities = {"beams": _BEAM_OPACITY, "hits": 0.95}
+    opacities |= {f"fading_{i}": _BEAM_OPACITY * fade for i, fade in enumerate(_FADES)}
+    for name, opacity in opacities.items():
+        skin = spec.add_skin(name=name, rgba=[0.84, 0.12, 0.14, opacity])
         skin.vert = np.zeros(12 * _MOST_BEAMS)
         skin.face = faces
         skin.bodyname = [body]
@@ -180,27 +178,41 @@ def add_scan(spec: mujoco.MjSpec, body: str, lidar_m: list[float]) -> None:
 def draw_scan(physics: Any, ranges_m: np.ndarray, angles_rad: np.ndarray) -> None:
     """Bring the drawn beams of a dm_control physics up to date.
 
+    Those that hit end on what they hit, with a mark; the others fade out.
+
     Args:
         physics: Physics of :func:`gdrl_tasks.indoor.robot.model_xml`'s model.
-        ranges_m: What the lidar reports, ``[B]``.
+        ranges_m: How far the beams go where the robot is now, ``[B]``.
         angles_rad: Directions of the beams from straight ahead, ``[B]``.
     """
     count = len(ranges_m)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_BEAMS)).round())
     chosen = chosen.astype(np.int64)
     ranges, angles = ranges_m[chosen], angles_rad[chosen]
+    hit = ranges < FARTHEST_M
+    size = np.interp(ranges[hit], [0.0, FARTHEST_M], _HIT_HALF_WIDTHS_M)
+    strips = {
+        "beams": _beams(angles[hit], np.minimum(_BEAM_START_M, ranges[hit]), ranges[hit]),
+        "hits": _ribbons(angles[hit], ranges[hit] - size, ranges[hit], size, size),
+    }
+    ends = np.linspace(_BEAM_START_M, FARTHEST_M, len(_FADES) + 1)
+    missed = angles[~hit]
+    for i, (start, end) in enumerate(itertools.pairwise(ends)):
+        level = np.ones_like(missed)
+        strips[f"fading_{i}"] = _beams(missed, start * level, end * level)
     model = physics.model
-    start = np.minimum(_BEAM_START_M, ranges)
-    limits = [0.0, FARTHEST_M]
-    widths = [np.interp(at, limits, _BEAM_HALF_WIDTHS_M) for at in (start, ranges)]
-    beams = _ribbons(angles, start, ranges, *widths)
-    size = np.interp(ranges, limits, _HIT_HALF_WIDTHS_M) * (ranges < FARTHEST_M)
-    hits = _ribbons(angles, ranges - 2.0 * size, ranges, size, size)
-    for name, vertices in (("beams", beams), ("hits", hits)):
+    for name, vertices in strips.items():
         first = model.skin_vertadr[model.name2id(name, "skin")]
         # Those without a beam stay in the lidar's middle, where they cover nothing.
         model.skin_vert[first : first + 4 * _MOST_BEAMS] = 0.0
         model.skin_vert[first : first + len(vertices)] = vertices
+
+
+def _beams(angles: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Strips that grow wider with the distance from the lidar."""
+    limits = [0.0, FARTHEST_M]
+    widths = [np.interp(at, limits, _BEAM_HALF_WIDTHS_M) for at in (start, end)]
+    return _ribbons(angles, start, end, *widths)
 
 
 def _ribbons(

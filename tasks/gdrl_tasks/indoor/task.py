@@ -37,6 +37,7 @@ COLLISION_MARGIN_M = 0.005
 DISTANCE_SCALE_M = 5.0
 _FARTHEST_SEEN = 4.0
 """Largest goal distance that is observed, in units of the scale."""
+_FIRST = np.zeros(1, dtype=np.int64)
 _OVERSHOOT = 1.2
 """Largest speed over the commanded one, with room to spare."""
 
@@ -188,16 +189,7 @@ class IndoorTask(NavigationTask):
             due = is_first | (number > arrays["scan_number"][ids])
             ids, number = ids[due], number[due]
             position, yaw = position[due], yaw[due]
-        ranges = scan_ahead(
-            position,
-            yaw,
-            BODY_X_M,
-            self._beams,
-            ids,
-            arrays["obstacles"],
-            *self._shapes,
-            (lidar.NEAREST_M, lidar.FARTHEST_M),
-        )
+        ranges = self._cast(arrays, ids, position, yaw)
         if self.options.range_noise:
             noise = lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
             # A beam that hits nothing reports nothing, whatever the errors.
@@ -213,5 +205,27 @@ class IndoorTask(NavigationTask):
         return {"lidar": arrays["scan"][ids] / lidar.FARTHEST_M}
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
-        """Draw the last scan."""
-        draw_scan(physics, arrays["scan"][0], self._angles)
+        """Draw the beams as they go where the robot is drawn.
+
+        Not the last report: that may be older, and it has errors.
+        """
+        qpos = physics.data.qpos[None]
+        if not np.isfinite(qpos).all():
+            return
+        position, yaw = self.planar_pose(qpos)
+        draw_scan(physics, self._cast(arrays, _FIRST, position, yaw)[0], self._angles)
+
+    def _cast(
+        self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
+    ) -> np.ndarray:
+        """How far the beams go from where robots are, metres, ``[K, B]``."""
+        return scan_ahead(
+            position,
+            yaw,
+            BODY_X_M,
+            self._beams,
+            ids,
+            arrays["obstacles"],
+            *self._shapes,
+            (lidar.NEAREST_M, lidar.FARTHEST_M),
+        )

@@ -17,7 +17,7 @@ from gdrl_tasks.water.hull import make_hull
 from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
 from gdrl_tasks.water.model import model_xml
 from gdrl_tasks.water.options import EXTRA_OBSERVATIONS, WaterOptions
-from gdrl_tasks.water.scenery import draw_sea_surface
+from gdrl_tasks.water.scenery import draw_sea_surface, note_track
 
 # Port and starboard commands of the seven discrete actions, hard right to hard left
 # (the seven of Marchesini et al. 2021, as thruster pairs).
@@ -96,6 +96,10 @@ class WaterTask(NavigationTask):
     def engine_model(self) -> mujoco.MjModel:
         """Without scenery."""
         return without_scenery(self.xml())
+
+    def note_scenery(self, physics: Any) -> None:
+        """Remember where the vessel was, for its wake."""
+        note_track(physics)
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
         """Bring the drawn sea, the floating goal and the chase camera up to date."""
