@@ -67,7 +67,7 @@ class WaterTask(NavigationTask):
             control_interval_s=options.control_interval_s,
             substep_s=options.substep_s,
             step_limit=options.step_limit,
-            # Far above what thrust, waves and current can do to it.
+            # Above what thrust, waves and current do to it: 3.6 m/s in the highest sea.
             running_reward_limit=self.progress_weight
             * (FASTEST_M_S + options.current_m_s)
             * options.control_interval_s,
