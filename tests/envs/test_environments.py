@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 import torch
@@ -243,7 +245,8 @@ def test_without_a_seed_every_environment_plays_other_episodes_that_can_be_playe
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
 def test_two_workers_without_a_seed_play_other_episodes(backend):
     task = make_task("water", **WAVES)
-    workers = ParallelEnv(2, lambda: make_env(task, 2, backend=backend, num_threads=1))
+    make = functools.partial(make_env, task, 2, backend=backend, num_threads=1)
+    workers = ParallelEnv(2, make)
     try:
         start = workers.reset()
         assert len(set(start["episode_seed"].flatten().tolist())) == 4
