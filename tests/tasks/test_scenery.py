@@ -212,6 +212,8 @@ def test_bow_and_stern_look_different():
     physics = environment.physics
     from dm_control.mujoco import engine
 
+    # The goal's mark is red, too.
+    physics.data.mocap_pos[0, :2] = environment.task.arrays["goal"][0] = 500.0
     w, z = physics.data.qpos[3], physics.data.qpos[6]
     heading = math.degrees(2.0 * math.atan2(z, w))
     physics.render(16, 16, camera_id="top")
