@@ -33,7 +33,7 @@ def without_scenery(xml: str) -> mujoco.MjModel:
         >>> from gdrl_tasks import make_task
         >>> xml = make_task("water").xml()
         >>> mujoco.MjModel.from_xml_string(xml).ngeom, without_scenery(xml).ngeom
-        (15, 0)
+        (35, 0)
     """
     whole = mujoco.MjModel.from_xml_string(xml)
     spec = mujoco.MjSpec.from_string(xml)

@@ -13,6 +13,7 @@ import gdrl_tasks
 from gdrl_tasks import make_task, task_names
 from gdrl_tasks.batch import BatchSimulation
 from gdrl_tasks.scenery import cast_fewer_shadows, without_scenery
+from gdrl_tasks.water.wake import Track, foam
 
 BOX = '<geom size="0.1" contype="{touches}" conaffinity="0" mass="{mass}"/>'
 MODEL = """
@@ -211,6 +212,8 @@ def test_bow_and_stern_look_different():
     physics = environment.physics
     from dm_control.mujoco import engine
 
+    # The goal's mark is red, too.
+    physics.data.mocap_pos[0, :2] = environment.task.arrays["goal"][0] = 500.0
     w, z = physics.data.qpos[3], physics.data.qpos[6]
     heading = math.degrees(2.0 * math.atan2(z, w))
     physics.render(16, 16, camera_id="top")
@@ -281,3 +284,25 @@ def test_the_chase_camera_sees_vessel_and_goal(bearing_deg, distance_m):
     for name in ("goal_mark", "deck"):
         geom = physics.model.name2id(name, "geom")
         assert ((number == geom) & (kind == mujoco.mjtObj.mjOBJ_GEOM)).any()
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [(3.25, 9.0, 0.0), (0.0, 0.0, 0.0), (9.0, 3.5, 0.0)],
+    ids=["elsewhere", "back in time", "after a gap"],
+)
+def test_a_vessel_that_was_put_somewhere_else_has_no_wake_yet(jump):
+    x, y = np.linspace(-3.0, 12.0, 150), np.linspace(-3.0, 3.0, 60)
+    track = Track()
+    for step in range(13):
+        track.note(0.25 * step, 0.25 * step, 0.0, 0.0)
+    rows, columns, cover = foam(track, x, y)
+    covered = x[columns][(cover > 0.1).any(axis=0)]
+    # The stern is 0.6 m behind the middle, which is at 3 m.
+    assert covered.min() < 0.5
+    assert covered.max() < 3.0 - 0.6 + 0.2
+    assert np.abs(y[rows][(cover > 0.1).any(axis=1)]).max() < 1.5
+
+    track.note(*jump, 0.0)
+
+    assert foam(track, x, y) is None

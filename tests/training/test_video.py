@@ -317,7 +317,7 @@ def test_beams_end_on_what_they_hit_and_fade_out_where_they_hit_nothing(
     assert opacity[-1] < 0.1
     for corners in strips.values():
         # The robot leans back by a thousandth as it drives.
-        np.testing.assert_allclose(corners[..., 2], LIDAR_HEIGHT_M, atol=5e-3)
+        np.testing.assert_allclose(corners[..., 2], LIDAR_HEIGHT_M, atol=0.01)
 
 
 def _strips(physics: Any) -> dict[str, np.ndarray]:

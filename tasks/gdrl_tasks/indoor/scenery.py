@@ -31,7 +31,7 @@ _TOP_ASPECT = 4.0 / 3.0
 _MOST_BEAMS = 36
 """As many beams are drawn at most, evenly chosen: more hide the floor."""
 _BEAM_START_M = 0.04
-_BEAM_HALF_WIDTHS_M, _HIT_HALF_WIDTHS_M = [0.002, 0.014], [0.010, 0.030]
+_BEAM_HALF_WIDTHS_M, _HIT_HALF_WIDTHS_M = [0.003, 0.017], [0.010, 0.030]
 """At the lidar and at its range: thin lines from behind, and a pixel from above."""
 _BEAM_OPACITY = 0.4
 _FADES = np.linspace(0.9, 0.1, 6)
