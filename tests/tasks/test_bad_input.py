@@ -126,7 +126,7 @@ STEEP = r"1/15; set significant_wave_height_m to {} or less, or peak_period_s to
         ({"sea": "calm"}, (0.104, 0.2), (0.104, 1.39)),
     ],
 )
-def test_a_sea_that_would_break_is_refused_with_the_limit(options, allowed, message):
+def test_a_sea_that_is_too_steep_is_refused_with_the_limit(options, allowed, message):
     inside, outside = (
         {"significant_wave_height_m": height} | options for height in allowed
     )

@@ -227,6 +227,40 @@ def test_yaw_inertia_lies_within_the_published_values():
     assert 8.35 <= HULL.inertia[2] + HULL.added_mass[5] <= 18.35
 
 
+@pytest.mark.parametrize("total", [4.6, 8.35, 10.0, 13.2])
+def test_yaw_inertia_is_the_one_asked_for_and_that_of_a_rigid_body(total):
+    hull = make_hull(HullParameters(yaw_inertia_total_kg_m2=total))
+    assert hull.inertia[2] + hull.added_mass[5] == pytest.approx(total, abs=1e-3)
+    assert (hull.inertia > 0.0).all()
+    # No moment of a rigid body is larger than the other two together.
+    assert hull.inertia.max() < 0.5 * hull.inertia.sum()
+    # Whatever is where, it is spread over a height of 0.32 m.
+    upright = 0.5 * (hull.inertia[0] + hull.inertia[1] - hull.inertia[2])
+    assert upright == pytest.approx(hull.mass_kg * 0.32**2 / 12.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("total", [-10.0, 4.5, 13.4, math.nan])
+def test_a_yaw_inertia_that_the_mass_cannot_have_is_refused(total):
+    with pytest.raises(
+        ValueError, match=r"yaw_inertia_total_kg_m2=.* choose 4\.59 to 13\.29"
+    ):
+        make_hull(HullParameters(yaw_inertia_total_kg_m2=total))
+
+
+def test_the_nominal_yaw_inertia_puts_most_of_the_mass_into_the_hulls():
+    # Lumps of mass over the waterplanes of two hulls pointed as 1 - |2x / length|^(7/3).
+    x = 1.35 * ((np.arange(2000) + 0.5) / 2000 - 0.5)
+    width = 1.0 - np.abs(2.0 * x / 1.35) ** (7.0 / 3.0)
+    assert width.mean() == pytest.approx(0.7, abs=1e-4)
+    along = np.average(x**2, weights=width)
+    y = 0.378 + 0.224 * ((np.arange(100) + 0.5) / 100 - 0.5)
+    across = (y**2).mean()
+    in_hulls = 22.35
+    flat = np.array([across, along, along + across]) * in_hulls
+    height = 35.96 * 0.32**2 / 12.0 * np.array([1.0, 1.0, 0.0])
+    np.testing.assert_allclose(HULL.inertia, flat + height, rtol=1e-3)
+
+
 @pytest.mark.parametrize("height_and_period", [(0.04, 0.62), (0.41, 2.0), (2.0, 4.39)])
 def test_the_steepest_seas_that_are_allowed_capsize_no_vessel(height_and_period):
     height, period = height_and_period

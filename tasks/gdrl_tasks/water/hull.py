@@ -21,8 +21,6 @@ class HullParameters:
     """Main dimensions and identified coefficients, SI units."""
 
     mass_kg: float = 35.96
-    bare_mass_kg: float = 28.0
-    """Mass of the two hulls and what is in them; the rest is payload in the middle."""
     length_m: float = 1.35
     hull_spacing_m: float = 0.756
     """Distance between the centre lines of the two hulls, twice the thrusters' lever."""
@@ -32,6 +30,8 @@ class HullParameters:
     waterplane_coefficient: float = 0.7
     centre_of_gravity_m: float = 0.15
     """Height of the centre of gravity over the keel."""
+    yaw_inertia_total_kg_m2: float = 10.0
+    """Rigid body and added inertia together, that of the nominal Heron."""
     surge_quadratic: float = 17.26
     sway_linear: float = 99.99
     sway_quadratic: float = 99.99
@@ -92,6 +92,10 @@ class Hull:
 def make_hull(parameters: HullParameters | None = None) -> Hull:
     """Derive the constants of the equations of motion.
 
+    Raises:
+        ValueError: If no spread of the mass over the two hulls and the middle between
+            them has the yaw inertia.
+
     Examples:
         >>> hull = make_hull()
         >>> round(hull.draft_m, 3), hull.points.shape
@@ -128,7 +132,7 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
         acting_depth_m=p.acting_draft * draft,
         spacing_m=spacing,
         # Rounded to what a model in XML carries, so that both know the same rigid body.
-        inertia=np.round(_inertia(p), 3),
+        inertia=np.round(_inertia(p, yaw_added), 3),
         added_mass=np.array(
             [
                 0.1 * p.mass_kg,
@@ -167,19 +171,29 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
     )
 
 
-def _inertia(p: HullParameters) -> np.ndarray:
+def _inertia(p: HullParameters, yaw_added: float) -> np.ndarray:
     """Rigid-body inertia about x, y, z, kg m^2, ``[3]``.
 
-    The two hulls carry their mass evenly over the area of their waterplanes: across each
-    hull evenly over its beam, along it as 1 - |2 x / length|^n, which has the waterplane
-    coefficient n / (n + 1). The payload is compact and in the middle. All mass is spread
-    evenly from keel to deck.
+    The two hulls carry their part of the mass evenly over the area of their waterplanes:
+    across each hull evenly over its beam, along it as 1 - |2 x / length|^n, which has the
+    waterplane coefficient n / (n + 1). The rest is compact and in the middle: payload and
+    batteries. All mass is spread evenly from keel to deck. How large the hulls' part is
+    follows from the yaw inertia.
     """
     exponent = p.waterplane_coefficient / (1.0 - p.waterplane_coefficient)
+    # Mean squares of the distances within the hulls, m^2.
     along = 0.25 * p.length_m**2 * (1.0 / 3.0 - 1.0 / (exponent + 3.0))
-    along *= p.bare_mass_kg / p.waterplane_coefficient
-    across = p.bare_mass_kg * (0.25 * p.hull_spacing_m**2 + p.hull_beam_m**2 / 12.0)
+    along /= p.waterplane_coefficient
+    across = 0.25 * p.hull_spacing_m**2 + p.hull_beam_m**2 / 12.0
+    in_hulls = (p.yaw_inertia_total_kg_m2 - yaw_added) / (along + across)
+    if not 0.0 <= in_hulls <= p.mass_kg:
+        most = yaw_added + p.mass_kg * (along + across)
+        raise ValueError(
+            f"yaw_inertia_total_kg_m2={p.yaw_inertia_total_kg_m2}: needs {in_hulls:.1f} kg "
+            f"in the hulls, of mass_kg={p.mass_kg}; choose {yaw_added:.2f} to {most:.2f}"
+        )
     upright = p.mass_kg * p.depth_m**2 / 12.0
+    across, along = in_hulls * across, in_hulls * along
     return np.array([across + upright, along + upright, across + along])
 
 

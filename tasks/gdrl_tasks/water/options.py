@@ -86,7 +86,7 @@ class WaterOptions:
             )
 
     def _check_steepness(self) -> None:
-        """No episode may have a sea that is too steep to exist."""
+        """No episode may have a sea that is steeper than the steepest."""
         assert self.sea is not None
         height, period = self.significant_wave_height_m, self.peak_period_s
         if height is None and period is None:
@@ -113,7 +113,7 @@ class WaterOptions:
         least = math.ceil(1e2 * least) / 1e2
         raise ValueError(
             f"{names[0]} with {names[1]}: a steepness (height over wavelength) of "
-            f"{steepness:.3f}, but waves break above 1/{1.0 / waves.STEEPEST:.0f}; set "
+            f"{steepness:.3f}, but seas may have up to 1/{1.0 / waves.STEEPEST:.0f}; set "
             f"significant_wave_height_m to {allowed} or less, or peak_period_s to {least} "
             "or more"
         )

@@ -21,8 +21,9 @@ _SPECTRUM_GRID = 40_000
 """So fine that no two of 1,000 components share a step of it."""
 _HIGHEST_RATIO = 12.0
 STEEPEST = 1.0 / 15.0
-"""Largest significant height over the wavelength of the peak: beyond it waves break until
-it holds again (DNV-RP-C205, section 3.5.5, for peak periods up to 8 s)."""
+"""Largest significant height over the wavelength of the peak. Severe seas have 1/20 to 1/16
+(API RP 2MET, definition of wave steepness); chosen a little above, and safely below what
+breaks: a regular wave does at 1/7 (Michell 1893)."""
 LEAST_RESOLVED = 0.75
 """Least share of a sea's energy in waves that the hull points resolve."""
 SHORTEST_PERIOD_S = 0.62
