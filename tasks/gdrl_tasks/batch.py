@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gdrl_tasks.divergence import DivergedWorld, StateMemory
+from gdrl_tasks.engines.quiet import quiet_engine
 from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
-from gdrl_tasks.quiet import quiet_engine
 from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
 from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex, check_running

@@ -9,7 +9,7 @@ import mujoco as engine
 import numpy as np
 from dm_control import mujoco
 
-from gdrl_tasks.quiet import quiet_engine
+from gdrl_tasks.engines.quiet import quiet_engine
 from gdrl_tasks.scenery import cast_fewer_shadows, make_room
 from gdrl_tasks.task import NavigationTask, WorldArrays
 
