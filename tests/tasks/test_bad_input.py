@@ -144,7 +144,7 @@ def test_a_sea_that_is_too_steep_is_refused_with_the_limit(options, allowed, mes
 
 def test_a_period_too_short_for_the_heights_of_a_sea_is_refused():
     with pytest.raises(
-        ValueError, match=r"up to 0\.25 m of sea='rough' with peak_period_s"
+        ValueError, match=r"peak_period_s=1\.5 with heights up to 0\.25 m of sea='rough'"
     ):
         gdrl_tasks.make_task("water", sea="rough", peak_period_s=1.5)
     gdrl_tasks.make_task("water", sea="rough", peak_period_s=1.56)

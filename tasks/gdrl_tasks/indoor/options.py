@@ -58,6 +58,6 @@ class IndoorOptions:
         if way_m > LONGEST_STEP_M * (1.0 + 1e-9):
             raise ValueError(
                 f"control_interval_s={self.control_interval_s} times "
-                f"speed_m_s={self.speed_m_s} is {way_m:.3g} m: at most {LONGEST_STEP_M} m "
-                "may be driven between two looks for contacts"
+                f"speed_m_s={self.speed_m_s} is {way_m:.3g} m, which must be at most "
+                f"{LONGEST_STEP_M} m: contacts are looked for at the ends of steps"
             )

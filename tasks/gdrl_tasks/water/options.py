@@ -111,9 +111,11 @@ class WaterOptions:
         allowed = math.floor(1e3 * allowed) / 1e3
         least = math.sqrt(highest / (waves.STEEPEST * waves.wavelength(1.0)))
         least = math.ceil(1e2 * least) / 1e2
+        if height is None:
+            names.reverse()
         raise ValueError(
-            f"{names[0]} with {names[1]}: a steepness (height over wavelength) of "
-            f"{steepness:.3f}, but seas may have up to 1/{1.0 / waves.STEEPEST:.0f}; set "
+            f"{names[0]} with {names[1]} is a steepness (height over wavelength) of "
+            f"{steepness:.3f}, which must be at most 1/{1.0 / waves.STEEPEST:.0f}; set "
             f"significant_wave_height_m to {allowed} or less, or peak_period_s to {least} "
             "or more"
         )
