@@ -29,8 +29,9 @@ from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.config.algorithms import RainbowConfig
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.training.agent import Agent
-from gdrl_torchrl.training.build import algorithm_of, make_task_of
+from gdrl_torchrl.training.build import algorithm_of
 from gdrl_torchrl.training.checkpoint import seed_everything
 
 EXPERIMENTS = {"indoor": "grainbow_indoor", "water": "gppo_water"}

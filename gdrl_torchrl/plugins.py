@@ -35,6 +35,16 @@ def with_plugins(own: Mapping[str, Any], group: str) -> dict[str, Any]:
     return found
 
 
+def plugin_names(group: str) -> list[str]:
+    """Names of what other packages offer in a group; nothing of theirs is imported.
+
+    Examples:
+        >>> plugin_names("gdrl.nothing_offers_this")
+        []
+    """
+    return sorted({entry.name for entry in entry_points(group=group)})
+
+
 def conf_packages() -> list[str]:
     """Packages of other distributions with configuration files, in order of name."""
     return sorted(entry.value for entry in entry_points(group="gdrl.conf"))

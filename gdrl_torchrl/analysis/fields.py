@@ -54,6 +54,7 @@ TEXT = Kind(
     "a text of 1 to 255 letters that can be printed",
     lambda x: isinstance(x, str) and 0 < len(x) < 256 and x.isprintable(),
 )
+SWITCH = Kind("true or false", lambda x: isinstance(x, bool))
 OBJECT = Kind("an object", lambda x: isinstance(x, dict))
 DIGEST = Kind(
     "64 hexadecimal digits",

@@ -26,6 +26,22 @@ _EVALUATION = {
 }
 
 
+def algorithm_label(algorithm: str, evolution: str | None) -> str:
+    """What an agent with a population is called in tables and figures.
+
+    Args:
+        algorithm: Name of the agent's algorithm.
+        evolution: Name of the evolution beside it; None if there is none.
+
+    Examples:
+        >>> [algorithm_label("ppo", e) for e in (None, "genetic", "erl")]
+        ['ppo', 'gppo', 'erl_ppo']
+    """
+    if evolution is None:
+        return algorithm
+    return f"g{algorithm}" if evolution == "genetic" else f"{evolution}_{algorithm}"
+
+
 def read_metrics(run_dir: str | Path) -> dict[str, np.ndarray]:
     """Read the table of training, one row per iteration.
 

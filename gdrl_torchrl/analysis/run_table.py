@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import fcntl
 import json
 import logging
@@ -10,9 +11,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.analysis.fields import COUNT, TEXT, read_object
+from gdrl_torchrl.analysis.fields import COUNT, SWITCH, TEXT, read_object
 from gdrl_torchrl.analysis.metrics_file import KINDS, read_row, split_lines
-from gdrl_torchrl.analysis.run_files import CONFIG_FILE, EVALUATION_FILE, METRICS_FILE
+from gdrl_torchrl.analysis.run_files import (
+    CONFIG_FILE,
+    EVALUATION_FILE,
+    METRICS_FILE,
+    algorithm_label,
+)
 
 STATES = ("done", "running", "stopped", "failed")
 COLUMNS = (
@@ -28,8 +34,16 @@ COLUMNS = (
     "wall_s",
     "path",
 )
-_MISSING = object()
-_CONFIG = {"name": TEXT, "task.name": TEXT, "seed": COUNT}
+_CONFIG = {
+    "name": TEXT,
+    "task.name": TEXT,
+    "algorithm.name": TEXT,
+    "evolution.name": TEXT,
+    "evolution.enabled": SWITCH,
+    "seed": COUNT,
+}
+_ALSO = {"task": "task.name", "algorithm": "algorithm.name"}
+"""Columns that are named like a whole part of the configuration."""
 _KNOWN = {name: KINDS[name] for name in COLUMNS if name in KINDS}
 _logger = logging.getLogger(__name__)
 
@@ -66,13 +80,12 @@ def run_row(run: Path) -> dict[str, Any]:
     which else is None, names the file and says what is wrong.
     """
     row: dict[str, Any] = dict.fromkeys((*COLUMNS, "damage"))
-    # runs/<name>/<task>/<algorithm>/<key>/seed_<n>
-    row |= {"algorithm": run.parent.parent.name, "path": str(run)}
+    row["path"] = str(run)
     try:
         row["state"] = state_of(run)
         config = read_object(run / CONFIG_FILE, _CONFIG)
         row |= {"name": config["name"], "seed": config["seed"]}
-        row["task"] = config["task"]["name"]
+        row |= {"task": config["task"]["name"], "algorithm": _label(config)}
         row |= _results(run, row["state"])
     except (OSError, ValueError) as error:
         row |= {"state": "damaged", "damage": str(error)}
@@ -86,7 +99,9 @@ def select_runs(runs: Iterable[Path], wanted: Mapping[str, str]) -> list[Path]:
 
     Args:
         runs: Run directories.
-        wanted: Texts by dotted name, as ``{"state": "done", "task.sea": "calm"}``.
+        wanted: Texts by dotted name, as ``{"state": "done", "task.sea": "calm"}``;
+            ``algorithm`` and ``task`` are the columns of the table, and
+            ``algorithm.name`` may be what its column says too.
 
     Raises:
         ValueError: If a name is in no run's configuration.
@@ -96,18 +111,27 @@ def select_runs(runs: Iterable[Path], wanted: Mapping[str, str]) -> list[Path]:
         []
     """
     configs = {run: _readable_config(run) for run in runs}
+    known = [config for config in configs.values() if config is not None]
     for name in wanted:
-        found = [_value(c, name) is not _MISSING for c in configs.values() if c is not None]
-        if name != "state" and found and not any(found):
-            raise ValueError(f"{name!r} is in no run's configuration")
+        if known and name != "state" and not any(_values(c, name) for c in known):
+            near = difflib.get_close_matches(name, _names(known), n=1)
+            hint = f": did you mean {near[0]}?" if near else ""
+            text = f"{name}={wanted[name]} must be an option of a run that is here{hint}"
+            raise ValueError(text)
 
     def matches(run: Path, name: str, text: str) -> bool:
-        if configs[run] is None:
+        config = configs[run]
+        if config is None:
             return True
-        value = state_of(run) if name == "state" else _value(configs[run], name)
-        return value is not _MISSING and text in (str(value), json.dumps(value))
+        return text in ([state_of(run)] if name == "state" else _values(config, name))
 
     return [run for run in configs if all(matches(run, *item) for item in wanted.items())]
+
+
+def values_of(runs: Iterable[Path], name: str) -> list[str]:
+    """The values that an option has in the configurations of runs, as texts in order."""
+    configs = [config for run in runs if (config := _readable_config(run)) is not None]
+    return sorted({text for config in configs for text in _values(config, name)[:1]})
 
 
 def format_table(rows: list[dict[str, Any]], columns: Iterable[str] = COLUMNS) -> str:
@@ -132,12 +156,32 @@ def _text(value: Any) -> str:
     return text if text.isprintable() else ascii(text)
 
 
-def _value(config: Any, name: str) -> Any:
-    for part in name.split("."):
-        if not isinstance(config, dict) or part not in config:
-            return _MISSING
-        config = config[part]
-    return config
+def _label(config: Mapping[str, Any]) -> str:
+    evolution = config["evolution"]
+    name = evolution["name"] if evolution["enabled"] else None
+    return algorithm_label(config["algorithm"]["name"], name)
+
+
+def _values(config: Mapping[str, Any], name: str) -> list[str]:
+    """Texts that stand for the value of an option; none if there is no such option."""
+    value: Any = config
+    for part in _ALSO.get(name, name).split("."):
+        if not isinstance(value, dict) or part not in value:
+            return []
+        value = value[part]
+    if name == "algorithm":
+        return [_label(config)]
+    return [str(value), json.dumps(value)] + [_label(config)] * (name == "algorithm.name")
+
+
+def _names(configs: Iterable[Mapping[str, Any]]) -> set[str]:
+    """Names of all options of some configurations."""
+    found = {"state", *_ALSO}
+    for config in configs:
+        for name, value in config.items():
+            options = value if isinstance(value, dict) else ()
+            found |= {name, *(f"{name}.{option}" for option in options)}
+    return found
 
 
 def _readable_config(run: Path) -> dict[str, Any] | None:

@@ -8,9 +8,10 @@ from typing import Any
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_tasks import task_names
+from gdrl_torchrl.cli.errors import check_known, explained
+from gdrl_torchrl.cli.names import CONFIG_MODULE
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.evolution import EVOLUTIONS
@@ -19,7 +20,6 @@ from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.config.toy import as_toy
 from gdrl_torchrl.plugins import conf_packages
 
-CONFIG_MODULE = "gdrl_torchrl.conf"
 _PROVIDER = "gdrl_torchrl"
 EXIT_SAVED = 75
 """Exit code of a command that a signal ended once it had saved: ``EX_TEMPFAIL`` of
@@ -65,12 +65,11 @@ def to_experiment(config: DictConfig) -> schema.ExperimentConfig:
     """Make the typed configuration of a composed one.
 
     Raises:
-        ValueError: If a value is missing or out of range.
+        ValueError: If an option is unknown, or a value is missing or out of range.
     """
-    try:
+    check_known(config)
+    with explained([]):
         experiment = OmegaConf.to_object(config)
-    except OmegaConfBaseException as error:
-        raise ValueError(str(error)) from error
     assert isinstance(experiment, schema.ExperimentConfig)
     return as_toy(experiment) if experiment.toy else experiment
 
@@ -83,7 +82,10 @@ def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:
         3
     """
     register_configs()
-    with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
+    with (
+        explained(overrides),
+        initialize_config_module(CONFIG_MODULE, version_base="1.3"),
+    ):
         return to_experiment(compose("config", overrides=[*search_path(), *overrides]))
 
 
@@ -94,8 +96,8 @@ def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:
         ValueError: If an option is unknown or its value has the wrong type.
     """
     base = OmegaConf.structured(task_config_class(saved["name"])(**saved))
-    try:
-        merged = OmegaConf.merge(base, OmegaConf.from_dotlist(overrides))
-        return OmegaConf.to_object(merged)
-    except OmegaConfBaseException as error:
-        raise ValueError(f"task: {error}") from error
+    # Named as they were given.
+    given = [f"task.{override}" for override in overrides]
+    with explained(given):
+        merged = OmegaConf.merge({"task": base}, OmegaConf.from_dotlist(given))
+        return OmegaConf.to_object(OmegaConf.select(merged, "task"))

@@ -4,22 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.analysis.fields import OBJECT, TEXT, read_object
+from gdrl_torchrl.cli.arguments import CommandParser, fail
 from gdrl_torchrl.cli.compose import merge_task
 from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.checks import check_choice
+from gdrl_torchrl.config.options import nearest, wrong_type
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig, NetworkConfig
-from gdrl_torchrl.config.task import task_config_class
+from gdrl_torchrl.config.task import make_task_from_config, task_config_class
 
-_USAGE = (
-    "usage: gdrl-evaluate run=<run directory> [episodes=N] [seed=N] "
-    "[task.<option>=<value> ...]"
+_OPTIONS = [
+    ("run=<run directory>", "The run whose final policy is evaluated."),
+    ("episodes=<number>", "Held-out episodes; those of the run's evaluation if not given."),
+    ("seed=<number>", "Seed of the held-out worlds; the run's if not given."),
+    ("task.<option>=<value>", "Other worlds: gdrl-train --help task=<name> lists options."),
+]
+_PARSER = CommandParser(
+    "gdrl-evaluate",
+    "run=<run directory> [<option>=<value> ...]",
+    "Evaluate the final policy of a run on held-out worlds; prints one line of JSON. "
+    "Nothing is written.",
+    [("options", _OPTIONS)],
+    [
+        "gdrl-evaluate run=runs/gppo_water/1a2b3c4d/seed_0 episodes=1000",
+        "gdrl-evaluate run=runs/gppo_water/1a2b3c4d/seed_0 task.sea=rough",
+    ],
 )
 _READ = {
     "task": OBJECT,
@@ -53,13 +67,13 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         elif name in ("run", "episodes", "seed") and equals:
             values[name] = value
         else:
-            raise ValueError(f"unknown argument {argument!r}\n{_USAGE}")
+            raise ValueError(_unknown(argument))
     if "run" not in values:
-        raise ValueError(_USAGE)
+        raise ValueError("run=<run directory> must be given: see gdrl-evaluate --help")
     run = Path(values["run"])
     path = run / "config.json"
     if not path.exists():
-        raise ValueError(f"run={run} is not a run directory: it has no config.json")
+        raise ValueError(f"run={run} must be a run directory: it has no config.json")
     saved = read_object(path, _READ)
     with _named(path):
         config = _config_of(saved)
@@ -69,11 +83,6 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         if name in values
     }
     evaluation = dataclasses.replace(config.evaluation, **numbers)
-    # torch takes seconds to import: arguments are checked before.
-    from gdrl_torchrl.config.task import make_task_from_config
-    from gdrl_torchrl.training.build import make_actor
-    from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
-
     with _named(path):
         trained = make_task_from_config(config.task).spec
     task_config = merge_task(saved["task"], overrides)
@@ -84,6 +93,10 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
                 f"task.{' task.'.join(overrides)}: the policy was trained with "
                 f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
             )
+    # torch takes seconds to import: what is wrong is said before.
+    from gdrl_torchrl.training.build import make_actor
+    from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
+
     with _named(path):
         actor = make_actor(task, config)
     load_policy(run / "final", actor)
@@ -96,6 +109,15 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
         **scores,
         "params_sha256": params_sha256(actor),
     }
+
+
+def _unknown(argument: str) -> str:
+    name, equals, _ = argument.partition("=")
+    near = nearest(name, ("run", "episodes", "seed"))
+    if not equals and Path(argument).is_dir():
+        return f"{argument} must be given as run={argument}"
+    hint = f"did you mean {near}=...?" if near else "see gdrl-evaluate --help"
+    return f"{argument} must be an option that exists: {hint}"
 
 
 def _config_of(saved: dict[str, Any]) -> ExperimentConfig:
@@ -143,15 +165,18 @@ def _whole_number(name: str, text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise ValueError(f"{name}={text!r} must be a whole number") from None
+        raise ValueError(
+            wrong_type(f"{name}={text}", f"evaluation.{name}", EvaluationConfig)
+        ) from None
 
 
 def main() -> None:
     """Entry point of ``gdrl-evaluate``."""
+    arguments = _PARSER.parse_args().arguments
     try:
-        result = evaluate_run(sys.argv[1:])
+        result = evaluate_run(arguments)
     except ValueError as error:
-        sys.exit(f"error: {error}")
+        fail(error)
     print(json.dumps(result))
 
 

@@ -7,13 +7,38 @@ task; of an update that was not finite it is told where numbers are missing.
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
+from gdrl_torchrl.cli.arguments import CommandParser, fail
 from gdrl_torchrl.cli.compose import merge_task
+from gdrl_torchrl.config.checks import check_choice
 
-_USAGE = "usage: gdrl-replay <file of faults/> [task.<option>=<value> ...]"
+_PARSER = CommandParser(
+    "gdrl-replay",
+    "<file of faults/> [task.<option>=<value> ...]",
+    "Look at a fault of a run again: a world that diverged makes its last step once more; "
+    "of an update that was not finite it is told where numbers are missing. Prints one "
+    "line of JSON.",
+    [
+        (
+            "options",
+            [
+                ("<file>", "A file of the folder faults/ of a run directory."),
+                (
+                    "task.<option>=<value>",
+                    "Repeat the step with other options of the task, which gdrl-train "
+                    "--help task=<name> lists.",
+                ),
+            ],
+        )
+    ],
+    [
+        "gdrl-replay runs/gppo_water/1a2b3c4d/seed_0/faults/update.safetensors",
+        "gdrl-replay runs/gppo_water/1a2b3c4d/seed_0/faults/diverged_7_12.safetensors "
+        "task.substep_s=0.01",
+    ],
+)
 
 
 def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
@@ -31,6 +56,8 @@ def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
             not valid.
     """
     # torch takes seconds to import: arguments are checked before.
+    if not path.is_file():
+        raise ValueError(f"{path} must be a file of the folder faults/ of a run")
     from gdrl_torchrl.training.state_file import read_state
 
     try:
@@ -38,8 +65,7 @@ def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
         kind = content["kind"]
     except (OSError, TypeError, KeyError) as error:
         raise ValueError(f"{path} is not a file about a fault: {error!r}") from error
-    if kind not in _KINDS:
-        raise ValueError(f"{path}: kind={kind!r} must be one of {sorted(_KINDS)}")
+    check_choice(f"{path}: kind", kind, _KINDS)
     try:
         found = _KINDS[kind](content, overrides)
     except (AttributeError, KeyError, TypeError) as error:
@@ -91,15 +117,16 @@ _KINDS = {"diverged_world": _replay_world, "update": _replay_update}
 def main() -> None:
     """Entry point of ``gdrl-replay``."""
     files, overrides = [], []
-    for argument in sys.argv[1:]:
+    for argument in _PARSER.parse_args().arguments:
         is_override = argument.startswith("task.") and "=" in argument
         (overrides if is_override else files).append(argument)
     if len(files) != 1:
-        sys.exit(f"error: {_USAGE}")
+        given = " ".join(files) or "nothing"
+        fail(f"{given}: one file must be given: see gdrl-replay --help")
     try:
         found = replay(Path(files[0]), [o.removeprefix("task.") for o in overrides])
     except ValueError as error:
-        sys.exit(f"error: {error}")
+        fail(error)
     # NaN and Infinity as Python's json reads and writes them.
     print(json.dumps(found))
 

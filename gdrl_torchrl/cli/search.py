@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import fcntl
 import hashlib
+import importlib.util
 import json
 import logging
 import statistics
@@ -20,22 +21,31 @@ from typing import Any
 from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override, Transformer
-from hydra.errors import HydraException
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_torchrl.analysis.fields import RATE, read_object
+from gdrl_torchrl.cli.arguments import CommandParser, fail
 from gdrl_torchrl.cli.compose import (
-    CONFIG_MODULE,
     EXIT_SAVED,
     load_experiment,
     register_configs,
     search_path,
 )
+from gdrl_torchrl.cli.errors import check_known, explained, not_among
+from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in, sentence_of
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.search import SearchConfig
+from gdrl_torchrl.config.sentences import options_of
 
 _logger = logging.getLogger(__name__)
-_USAGE = "usage: gdrl-search +search=<name> [search.<option>=<value> ...] [<override> ...]"
+_DESCRIPTION = (
+    "Look for good settings with Optuna: trials of settings, the best of which is printed "
+    "last, as a command. Started again, it goes on; several may work at one search."
+)
+_EXAMPLES = (
+    "gdrl-search +search=gppo_water",
+    "gdrl-search +search=gppo_water search.num_trials=60 task.sea=rough",
+)
 _ERROR = "error"
 
 
@@ -50,20 +60,23 @@ def load_search(arguments: list[str]) -> SearchConfig:
         >>> search.num_trials, search.overrides
         (3, ['experiment=gppo_water', 'seed=1'])
     """
-    named = [a.removeprefix("+search=") for a in arguments if a.startswith("+search=")]
-    if len(named) != 1:
-        raise ValueError(_USAGE)
-    others = [a for a in arguments if not a.startswith("+search=")]
-    own = [a for a in others if a.startswith("search.")]
+    named = [a for a in arguments if a.lstrip("+").startswith("search=")]
+    names = [argument.partition("=")[2] for argument in named]
+    if len(names) != 1:
+        given = " ".join(named) or "+search=<name>"
+        raise ValueError(f"{given} must be given once: see gdrl-search --help")
+    if names[0] not in names_in("search"):
+        raise ValueError(not_among("+search", names[0], names_in("search")))
+    others = [a for a in arguments if a not in named]
+    own = [a for a in others if a.lstrip("+~").startswith("search.")]
     register_configs()
-    try:
+    with explained(own):
         with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
-            config = compose(f"search/{named[0]}", overrides=[*search_path(), *own])
+            config = compose(f"search/{names[0]}", overrides=[*search_path(), *own])
+        check_known(config)
         search = OmegaConf.to_object(config.search)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ValueError(f"{error}\n{_USAGE}") from error
     assert isinstance(search, SearchConfig)
-    search.overrides += [a for a in others if not a.startswith("search.")]
+    search.overrides += [a for a in others if a not in own]
     return search
 
 
@@ -85,7 +98,8 @@ class Search:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.config, self.run = config, run
         texts = [f"{name}={choices}" for name, choices in config.params.items()]
-        self.params = OverridesParser.create().parse_overrides(texts)
+        with explained(texts):
+            self.params = OverridesParser.create().parse_overrides(texts)
         for param in self.params:
             if not param.is_sweep_override():
                 text = f"search.params: {param.input_line} has nothing to choose from"
@@ -249,16 +263,34 @@ def search_table(search: Search) -> str:
     return "\n".join(lines)
 
 
+def _parser() -> CommandParser:
+    searches = [(name, sentence_of("search", name)) for name in names_in("search")]
+    rest = [
+        ("<option>=<value>", "An option of all runs, which gdrl-train --help lists."),
+    ]
+    return CommandParser(
+        "gdrl-search",
+        "+search=<name> [search.<option>=<value> ...] [<option>=<value> ...]",
+        _DESCRIPTION,
+        [
+            ("+search=<name>", searches),
+            ("options", [*options_of(SearchConfig, "search"), *rest]),
+        ],
+        _EXAMPLES,
+    )
+
+
 def main() -> None:
     """Entry point of ``gdrl-search``."""
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
     try:
-        config = load_search(sys.argv[1:])
-        import optuna  # noqa: F401 - said before anything is loaded that takes long
-    except ImportError:
-        sys.exit("error: gdrl-search needs Optuna: pip install 'gdrl_torchrl[search]'")
+        config = load_search(_parser().parse_args().arguments)
+        # What is wrong is said before anything is loaded that takes long.
+        make_task_of(load_experiment(config.overrides))
     except ValueError as error:
-        sys.exit(f"error: {error}")
+        fail(error)
+    if importlib.util.find_spec("optuna") is None:
+        fail("gdrl-search needs Optuna: pip install 'gdrl_torchrl[search]'")
     # Imported here so that a wrong argument is answered without them.
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
 
@@ -267,7 +299,7 @@ def main() -> None:
         search = Search(config, run_experiment)
         search.optimize()
     except ValueError as error:
-        sys.exit(f"error: {error}")
+        fail(error)
     except InterruptedRunError as stop:
         print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)

@@ -6,7 +6,12 @@
 from __future__ import annotations
 
 import logging
+import math
+import os
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -14,28 +19,59 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from gdrl_torchrl.analysis.run_files import read_evaluation
+from gdrl_torchrl.cli import sweep
+from gdrl_torchrl.cli.arguments import fail, one_line
 from gdrl_torchrl.cli.compose import (
-    CONFIG_MODULE,
     EXIT_SAVED,
     register_configs,
     search_path,
     to_experiment,
+)
+from gdrl_torchrl.cli.errors import (
+    check_known_to_hydra,
+    explained,
+    wants_traceback,
+)
+from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in
+from gdrl_torchrl.config.options import owner_of
+from gdrl_torchrl.config.relations import make_task_of
+
+_OPTIONS_OF_HYDRA = (
+    "--cfg",
+    "--config-dir",
+    "--config-name",
+    "--config-path",
+    "--experimental-rerun",
+    "--hydra-help",
+    "--info",
+    "--multirun",
+    "--package",
+    "--resolve",
+    "--run",
+    "--shell-completion",
+    "--version",
 )
 
 
 @hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name="config", version_base="1.3")
 def _train(config: DictConfig) -> float:
     """Run one job; its value is the held-out success rate, for sweepers that search."""
-    hydra_config = HydraConfig.get()
+    hydra_config: Any = HydraConfig.get()
     in_sweep = hydra_config.mode == RunMode.MULTIRUN
     try:
+        check_known_to_hydra(hydra_config)
         if in_sweep:
             check_launcher(hydra_config.launcher["_target_"])
-        return _run_job(config)
+        path = _run_job(config, hydra_config.overrides.task, in_sweep=in_sweep)
+        sweep.note(path)
+        return float(read_evaluation(path)["success_rate"]) if path else math.nan
     except ValueError as error:
-        if in_sweep:
-            raise
-        sys.exit(f"error: {error}")
+        if not in_sweep:
+            fail(error)
+        # Not raised: Hydra would print where, and end the sweep's report.
+        overrides = " ".join(hydra_config.overrides.task)
+        sweep.note(None, f"job {hydra_config.job.num} ({overrides}): {one_line(error)}")
+        return math.nan
 
 
 def check_launcher(target: str) -> None:
@@ -52,42 +88,84 @@ def check_launcher(target: str) -> None:
         )
 
 
-def _run_job(config: DictConfig) -> float:
+def _run_job(
+    config: DictConfig, overrides: Sequence[str], *, in_sweep: bool
+) -> Path | None:
+    """The run directory; None if another process runs it, which a sweep passes over."""
     experiment = to_experiment(config)
-    # Imported here so that --help is answered without them.
+    for name in ("absl", "OpenGL"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    # What is wrong is said before torch is imported, which takes seconds.
+    make_task_of(experiment)
     from gdrl_torchrl.training.run import (
         InterruptedRunError,
         TrainingDivergedError,
         run_experiment,
     )
-    from gdrl_torchrl.training.run_directory import RunDirectoryError
+    from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
     from gdrl_torchrl.training.worker import WorkerDiedError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
     # level of its own.
-    for name in ("torchrl", "absl", "OpenGL"):
-        logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
-        path = run_experiment(experiment)
+        return run_experiment(experiment, overrides)
     except InterruptedRunError as stop:
         # Not an error of this job: it ends a sweep too.
         print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
+    except RunInUseError as error:
+        if not in_sweep:
+            raise ValueError(str(error)) from error
+        print(f"skipped: {error.path} runs elsewhere", file=sys.stderr)
+        return None
     except (RunDirectoryError, TrainingDivergedError, WorkerDiedError) as error:
         raise ValueError(str(error)) from error
-    print(path)
-    return float(read_evaluation(path)["success_rate"])
 
 
 def main() -> None:
     """Entry point of ``gdrl-train``."""
+    arguments = sys.argv[1:]
+    if {"-h", "--help"} & set(arguments):
+        # Not Hydra's, which lists names without meanings; its own is --hydra-help.
+        from gdrl_torchrl.cli.help import help_of_training
+
+        print(help_of_training(arguments), end="")
+        return
+    _check(arguments)
     register_configs()
-    if not any(argument.startswith("hydra.searchpath") for argument in sys.argv[1:]):
+    if not any(argument.startswith("hydra.searchpath") for argument in arguments):
         # Beside the other overrides: they must follow each other.
         is_override = ["=" in a and not a.startswith("-") for a in sys.argv]
         place = is_override.index(True) if any(is_override) else len(sys.argv)
         sys.argv[place:place] = search_path()
-    _train()
+    if wants_traceback():
+        _train()
+        return
+    # Or Hydra would print errors in its own words, of several lines.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        with explained(arguments):
+            _train()
+    except ValueError as error:
+        fail(error)
+    if sweep.failed:
+        fail(f"jobs that failed: {len(sweep.failed)}, the last one: {sweep.failed[-1]}")
+
+
+def _check(arguments: Sequence[str]) -> None:
+    """End the command for mistakes that Hydra would take or answer with a page."""
+    for argument in arguments:
+        name, _, value = argument.partition("=")
+        if name.startswith("--") and name not in _OPTIONS_OF_HYDRA:
+            given = f"{name.strip('-')}={value or '<value>'}"
+            if owner_of(name.strip("-")) or names_in(name.strip("-")):
+                fail(f"{argument} must be written {given}")
+            fail(f"{argument} must be a switch that exists: see gdrl-train --help")
+    if not any(argument.startswith("-") for argument in arguments):
+        for argument in arguments:
+            if argument.startswith("+sweep="):
+                fail(f"{argument} must come after -m: gdrl-train -m {' '.join(arguments)}")
 
 
 if __name__ == "__main__":

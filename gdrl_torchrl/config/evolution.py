@@ -15,7 +15,13 @@ from gdrl_torchrl.config.checks import (
     limits,
     within,
 )
+from gdrl_torchrl.plugins import plugin_names
 
+# The functions are in ``gdrl_torchrl.evolution``, which imports torch: that takes seconds,
+# and a wrong option is answered before.
+CROSSOVERS = ("none", "n_point")
+MUTATIONS = ("bernoulli", "pseudocode", "scaled")
+TIE_RULES = ("return_then_parent", "parent", "child")
 _MOST_TRIALS = 10_000
 _KEEP_OR_RESET = ("keep", "reset")
 _GOALS_OR_RETURN = ("goals", "return")
@@ -28,19 +34,27 @@ class EvolutionConfig:
     name: str = "genetic"
     """What runs with these settings are called."""
     enabled: bool = True
+    """Whether populations are evaluated at all."""
     num_children: int = within(10, least=1, most=MOST_WORLDS)
+    """Mutated copies of the agent in a population."""
     num_trials: int = within(10, least=1, most=_MOST_TRIALS)
     """Episodes that every member is scored on; with ``contest=paired`` only the number
     that goals are counted per."""
     period_episodes: int = within(50, least=1, most=MOST_EPISODES)
     """Completed training episodes between evaluations; not given by the papers."""
     mutation: str = "bernoulli"
+    """How children are made; ``bernoulli`` changes each weight with a probability of
+    ``rates``."""
     mut_v: float = within(0.1, least=0.0, most=10.0)
+    """How far a mutation goes, in weight units."""
     mut_v_is: str = among("std", ("std", "variance"))
+    """Whether ``mut_v`` is the standard deviation of the noise or its variance."""
     rates: list[float] = dataclasses.field(
         default_factory=lambda: [0.75, 0.4, 0.1],
         metadata=limits(lengths=(1, 100), least=0.0, most=1.0),
     )
+    """Probabilities of a mutation, from the beginning on; the next one comes with each of
+    ``thresholds``."""
     thresholds: list[float] = dataclasses.field(
         default_factory=lambda: [0.4, 0.8],
         metadata=limits(lengths=(0, 99), least=0.0, most=1.0),
@@ -55,7 +69,9 @@ class EvolutionConfig:
     sensitivity_rows: int = within(256, least=1, most=1_000_000)
     """Observations that this is measured over."""
     window_episodes: int = within(100, least=1, most=MOST_EPISODES)
+    """Last training episodes that success is measured over."""
     fitness: str = among("goals", _GOALS_OR_RETURN)
+    """What members are scored by: ``goals`` that they reach, or the mean ``return``."""
     contest: str = among("full", ("full", "paired", "copies"))
     """``full``: all over the same episodes, the best wins; ``paired``: a child must win
     a test against the agent; ``copies``: none, the agent alone plays as many episodes as
@@ -70,7 +86,9 @@ class EvolutionConfig:
     """With ``contest=paired``: probability that a child no better than the agent wins."""
     own_share: float = within(0.0, least=0.0, below=1.0)
     """Share of its own weights that the agent keeps on a switch."""
-    tie_rule: str = "return_then_parent"
+    tie_rule: str = among("return_then_parent", TIE_RULES)
+    """Who wins among equals: the higher return and then the agent, the agent (``parent``),
+    or a ``child``."""
     optimizer_on_switch: str = among("keep", _KEEP_OR_RESET)
     """``keep`` the optimiser's moments or ``reset`` those of the actor."""
     critic_on_switch: str = among("keep", _KEEP_OR_RESET)
@@ -86,16 +104,12 @@ class EvolutionConfig:
     """Worlds of the evaluation; None takes one per member and trial."""
 
     def __post_init__(self) -> None:
-        # Here because they import torch, which takes seconds: --help needs no torch.
-        from gdrl_torchrl.evolution.crossover import crossovers
-        from gdrl_torchrl.evolution.mutation import mutations
-        from gdrl_torchrl.evolution.selection import TIE_RULES
-
         check_fields(self, "evolution")
         check_folder("evolution.name", self.name)
-        check_choice("evolution.crossover", self.crossover, crossovers())
-        check_choice("evolution.mutation", self.mutation, mutations())
-        check_choice("evolution.tie_rule", self.tie_rule, TIE_RULES)
+        others = plugin_names("gdrl.crossovers")
+        check_choice("evolution.crossover", self.crossover, (*CROSSOVERS, *others))
+        others = plugin_names("gdrl.mutations")
+        check_choice("evolution.mutation", self.mutation, (*MUTATIONS, *others))
         check_evaluation_worlds("evolution", self, "num_children", 1 + self.num_children)
         if len(self.rates) != len(self.thresholds) + 1:
             raise ValueError(
@@ -119,6 +133,7 @@ class ErlConfig:
     name: str = "erl"
     """What runs with these settings are called."""
     enabled: bool = True
+    """Whether populations are evaluated at all."""
     population_size: int = within(10, least=3, most=MOST_WORLDS)
     """Members, of which one is a copy of the agent after each synchronisation."""
     num_trials: int = within(3, least=1, most=_MOST_TRIALS)
@@ -127,12 +142,17 @@ class ErlConfig:
     """Completed training episodes between generations: 2,000 over the 250 evaluations
     that the seed reports."""
     num_elites: int = within(2, least=1, most=MOST_WORLDS)
+    """Best members that stay as they are."""
     tournament_size: int = within(3, least=1, most=1000)
+    """Members of which the best becomes a parent."""
     mutation_probability: float = within(0.9, least=0.0, most=1.0)
+    """Of a member that is no elite."""
     sync_period: int = within(1, least=1, most=MOST_EPISODES)
     """Generations between copies of the agent."""
     window_episodes: int = within(100, least=1, most=MOST_EPISODES)
+    """Last training episodes that success is measured over."""
     fitness: str = among("goals", _GOALS_OR_RETURN)
+    """What members are scored by: ``goals`` that they reach, or the mean ``return``."""
     experience_share: float = within(1.0, least=0.0, most=1.0)
     """Share of a generation's transitions that enters the agent's replay buffer."""
     num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)

@@ -6,12 +6,29 @@ from typing import TYPE_CHECKING
 
 from gdrl_torchrl.config.algorithms import GAConfig, RainbowConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.config.task import make_task_from_config
 
 if TYPE_CHECKING:
     from gdrl_tasks import NavigationTask
 
 _MOST_DM_CONTROL_SEED = (2**32 - 1) // 1000 - 100
 """A world's seed is a thousand times the run's and its number, and has 32 bits."""
+
+
+def make_task_of(config: ExperimentConfig) -> NavigationTask:
+    """The task of a run.
+
+    Raises:
+        ValueError: If task and algorithm do not fit, or an option is out of range.
+    """
+    for name in ("task", "algorithm"):
+        if getattr(config, name) is None:
+            raise ValueError(f"{name}=None must be given")
+    task = make_task_from_config(config.task)
+    # Not by making an actor: its weights would come from the run's generator.
+    check_fit(task, config)
+    check_relations(config, task)
+    return task
 
 
 def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
@@ -43,4 +60,21 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
         raise ValueError(
             f"seed={config.seed} must be <= {_MOST_DM_CONTROL_SEED} with "
             "task.backend='dm_control'"
+        )
+
+
+def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
+    """Raise ValueError unless task, algorithm and evolution go together."""
+    name = config.algorithm.name
+    if isinstance(config.algorithm, GAConfig) and config.evolution.enabled:
+        raise ValueError(
+            f"evolution.enabled=True must be False (evolution=none) with algorithm.name="
+            f"{name!r}, which is a population already"
+        )
+    needed = config.algorithm.actions
+    given = "discrete" if task.spec.is_discrete else "continuous"
+    if needed not in ("any", given):
+        raise ValueError(
+            f"task.actions={given!r} must be {needed!r} with algorithm.name={name!r}: give "
+            f"task.actions={needed}"
         )

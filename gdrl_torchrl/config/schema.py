@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from gdrl_torchrl.analysis.run_files import algorithm_label
 from gdrl_torchrl.config.checks import (
     MOST_EPISODES,
     MOST_SEED,
@@ -32,12 +33,15 @@ class NetworkConfig:
     actor_cells: list[int] = dataclasses.field(
         default_factory=lambda: [32, 32], metadata=_WIDTHS
     )
+    """Widths of the policy's hidden layers."""
     critic_cells: list[int] = dataclasses.field(
         default_factory=lambda: [64, 64], metadata=_WIDTHS
     )
+    """Widths of the critic's hidden layers, where there is one."""
     critic_sees_time: bool = True
     """Whether the critic reads the time left, which the policy does not see."""
     activation: str = among("tanh", ("tanh", "relu"))
+    """Between hidden layers."""
     initial_std: float = within(1.0, least=1e-4, most=100.0)
     """Of the policy before squashing, for continuous actions."""
 
@@ -50,8 +54,11 @@ class BudgetConfig:
     """When training ends: the first budget that is reached; None is no limit."""
 
     agent_steps: int | None = within(None, least=1, most=MOST_STEPS)
+    """Steps of the agent's own worlds."""
     total_steps: int | None = within(None, least=1, most=MOST_STEPS)
+    """Steps of the agent's and of the population's worlds."""
     wall_s: float | None = within(None, above=0.0, most=1e8)
+    """Seconds of training."""
 
     def __post_init__(self) -> None:
         check_fields(self, "budget")
@@ -67,9 +74,11 @@ class EvaluationConfig:
     """Evaluation on held-out worlds at the end of training."""
 
     episodes: int = within(500, least=1, most=MOST_EPISODES)
+    """Held-out episodes."""
     seed: int = within(0, least=0, most=MOST_SEED)
     """Seed of the held-out worlds: the same worlds for runs of all seeds."""
     num_worlds: int = within(100, least=1, most=MOST_WORLDS)
+    """Worlds that are simulated at a time."""
 
     def __post_init__(self) -> None:
         check_fields(self, "evaluation")
@@ -80,7 +89,9 @@ class CheckpointConfig:
     """How often training is saved."""
 
     interval_s: float = within(30.0, least=0.0, most=1e8)
+    """Seconds between saves; 0 saves after every iteration."""
     keep: int = within(2, least=1, most=10_000)
+    """How many of the last saves are kept."""
 
     def __post_init__(self) -> None:
         check_fields(self, "checkpoint")
@@ -91,6 +102,7 @@ class LoggerConfig:
     """What is written beside ``metrics.csv``."""
 
     tensorboard: bool = True
+    """Whether curves are written for TensorBoard too."""
     video_episodes: int = within(2, least=0, most=1000)
     """Held-out episodes in the video; 0 makes none."""
 
@@ -128,26 +140,37 @@ class ExperimentConfig:
     """A whole run."""
 
     name: str = "experiment"
+    """Folder of the run in ``runs_dir``; experiments and sweeps have names of their own."""
     seed: int = within(0, least=0, most=MOST_SEED)
+    """Seed of everything that training draws."""
     runs_dir: str = "runs"
+    """Folder of all runs."""
     force: bool = False
-    """Go on with a run directory that another version of the code has written."""
+    """Go on with a run directory whose results or files are of another version."""
     toy: bool = False
     """Make everything so small that the run only shows that it works."""
     task: Any = None
     """``name``, ``backend`` and the task's options."""
     algorithm: Any = None
+    """How the agent learns."""
     network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
+    """Networks of the agent."""
     evolution: Any = None
     """None is the seed's, with its defaults."""
     budget: BudgetConfig = dataclasses.field(
         default_factory=lambda: BudgetConfig(agent_steps=100_000)
     )
+    """When training ends."""
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
+    """The evaluation at the end."""
     checkpoint: CheckpointConfig = dataclasses.field(default_factory=CheckpointConfig)
+    """How often training is saved."""
     logger: LoggerConfig = dataclasses.field(default_factory=LoggerConfig)
+    """What else is written."""
     simulation: SimulationConfig = dataclasses.field(default_factory=SimulationConfig)
+    """How the simulation runs."""
     faults: FaultsConfig = dataclasses.field(default_factory=FaultsConfig)
+    """What happens when numbers are no longer numbers."""
 
     def __post_init__(self) -> None:
         if self.evolution is None:
@@ -158,7 +181,5 @@ class ExperimentConfig:
     @property
     def algorithm_label(self) -> str:
         """``ppo``; ``gppo`` with the seed's evaluation, ``erl_ppo`` with another one."""
-        own, evolution = self.algorithm.name, self.evolution
-        if not evolution.enabled:
-            return own
-        return f"g{own}" if evolution.name == "genetic" else f"{evolution.name}_{own}"
+        evolution = self.evolution.name if self.evolution.enabled else None
+        return algorithm_label(self.algorithm.name, evolution)

@@ -35,6 +35,7 @@ class SearchConfig:
     ``range(1, 4)``, ``interval(0.1, 1)``, ``tag(log, interval(0.01, 1))``,
     ``int(interval(5, 50))``."""
     num_trials: int = within(20, least=1, most=100_000)
+    """Settings that are tried."""
     total_steps: list[int] = dataclasses.field(
         default_factory=lambda: [100_000],
         metadata=limits(lengths=(1, 100), least=1, most=MOST_STEPS),
@@ -47,6 +48,7 @@ class SearchConfig:
     )
     """Seeds that a trial is trained with; its value is their mean."""
     episodes: int = within(200, least=1, most=MOST_EPISODES)
+    """Held-out episodes that decide."""
     evaluation_seed: int = within(1, least=0, most=MOST_SEED)
     """Seed of the worlds that decide. Not that of the reports (0), for the best of many
     trials is partly the luckiest in its worlds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 import types
 import typing
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,14 +35,13 @@ def task_config_class(name: str) -> type:
     fields: list[Any] = [("name", str, name), ("backend", str, "batch")]
     for field in dataclasses.fields(options):
         simple = _simple_type(hints[field.name])
-        default = field.default
+        default, rules = field.default, _rules(field, hints[field.name])
         if isinstance(default, tuple):
             values = list(default)
-            fields.append(
-                (field.name, simple, dataclasses.field(default_factory=values.copy))
-            )
+            made = dataclasses.field(default_factory=values.copy, metadata=rules)
         else:
-            fields.append((field.name, simple, default))
+            made = dataclasses.field(default=default, metadata=rules)
+        fields.append((field.name, simple, made))
     return dataclasses.make_dataclass(f"{name.title()}TaskConfig", fields)
 
 
@@ -63,7 +63,16 @@ def make_task_from_config(config: Any) -> NavigationTask:
     try:
         return make_task(config.name, **options)
     except ValueError as error:
-        raise ValueError(f"task: {error}") from error
+        # Most begin with an option and its value.
+        joint = "." if re.match(r"\w+=", str(error)) else ": "
+        raise ValueError(f"task{joint}{error}") from error
+
+
+def _rules(field: dataclasses.Field[Any], hint: Any) -> dict[str, Any]:
+    """What a value may be, and words that its simpler type no longer tells."""
+    kinds = [hint, *typing.get_args(hint)]
+    words = [typing.get_args(k) for k in kinds if typing.get_origin(k) is Literal]
+    return {**field.metadata, **({"choices": words[0]} if words else {})}
 
 
 def _simple_type(hint: Any) -> Any:

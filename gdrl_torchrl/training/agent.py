@@ -15,7 +15,6 @@ from torchrl.envs import EnvBase
 from torchrl.objectives.common import LossModule
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.config.algorithms import GAConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.training.collect_ahead import AheadCollector
@@ -108,20 +107,3 @@ def make_training_env(config: ExperimentConfig, task: NavigationTask) -> EnvBase
         num_threads=config.simulation.num_threads,
         seed=config.seed,
     )
-
-
-def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
-    """Raise ValueError unless task, algorithm and evolution go together."""
-    name = config.algorithm.name
-    if isinstance(config.algorithm, GAConfig) and config.evolution.enabled:
-        raise ValueError(
-            f"evolution.enabled=True must be False (evolution=none) with algorithm.name="
-            f"{name!r}, which is a population already"
-        )
-    needed = config.algorithm.actions
-    given = "discrete" if task.spec.is_discrete else "continuous"
-    if needed not in ("any", given):
-        raise ValueError(
-            f"task.actions={given!r} must be {needed!r} with algorithm.name={name!r}: give "
-            f"task.actions={needed}"
-        )

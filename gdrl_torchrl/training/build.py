@@ -8,13 +8,12 @@ from tensordict.nn import TensorDictModuleBase
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import GAConfig, PPOConfig, RainbowConfig
-from gdrl_torchrl.config.relations import check_relations
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.config.task import make_task_from_config
 from gdrl_torchrl.envs.make import OnDivergence
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.plugins import with_plugins
-from gdrl_torchrl.training.agent import Agent, Algorithm, check_fit
+from gdrl_torchrl.training.agent import Agent, Algorithm
 from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.evolve import make_population_hook
 from gdrl_torchrl.training.genetic_algorithm import make_ga_actor, make_ga_agent
@@ -82,22 +81,6 @@ def build_training(
     )
     genetic.register(agent.trainer)
     return Training(task, agent, genetic)
-
-
-def make_task_of(config: ExperimentConfig) -> NavigationTask:
-    """The task of a run.
-
-    Raises:
-        ValueError: If task and algorithm do not fit, or an option is out of range.
-    """
-    for name in ("task", "algorithm"):
-        if getattr(config, name) is None:
-            raise ValueError(f"{name}=None must be given")
-    task = make_task_from_config(config.task)
-    # Not by making an actor: its weights would come from the run's generator.
-    check_fit(task, config)
-    check_relations(config, task)
-    return task
 
 
 def make_actor(task: NavigationTask, config: ExperimentConfig) -> TensorDictModuleBase:

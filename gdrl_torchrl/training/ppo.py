@@ -16,6 +16,7 @@ from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.config.algorithms import PPOConfig
+from gdrl_torchrl.config.relations import check_fit
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.objectives.ppo import make_ppo_loss
@@ -23,7 +24,6 @@ from gdrl_torchrl.training.agent import (
     ACTIVATIONS,
     NO_FRAME_LIMIT,
     Agent,
-    check_fit,
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector

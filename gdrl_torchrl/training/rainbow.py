@@ -19,6 +19,7 @@ from torchrl.trainers.trainers import OptimizationStepper
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.algorithms import RainbowConfig
+from gdrl_torchrl.config.relations import check_fit
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.data.n_step import NStep
 from gdrl_torchrl.data.replay import (
@@ -40,7 +41,6 @@ from gdrl_torchrl.training.agent import (
     ACTIVATIONS,
     NO_FRAME_LIMIT,
     Agent,
-    check_fit,
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector

@@ -7,16 +7,17 @@ import dataclasses
 import errno
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchrl.checkpoint import CheckpointError
 from torchrl.record.loggers import Logger
 
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.genome import install
-from gdrl_torchrl.training.build import Training, build_training, make_task_of
+from gdrl_torchrl.training.build import Training, build_training
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
@@ -33,11 +34,11 @@ from gdrl_torchrl.training.evaluate import (
 )
 from gdrl_torchrl.training.faults import FaultFiles
 from gdrl_torchrl.training.monitor import COLUMNS, RunMonitor, is_spent
+from gdrl_torchrl.training.provenance import RUN_VERSION, code_version
 from gdrl_torchrl.training.run_directory import (
     MetricsTable,
     RunDirectory,
     RunDirectoryError,
-    code_version,
     run_key,
 )
 from gdrl_torchrl.training.update import NonFiniteUpdateError
@@ -96,11 +97,15 @@ class TrainingDivergedError(RuntimeError):
         )
 
 
-def run_experiment(config: ExperimentConfig) -> Path:
+def run_experiment(config: ExperimentConfig, overrides: Sequence[str] = ()) -> Path:
     """Bring a run to its end and return its directory.
 
     A run that is complete under this configuration is returned as it is; one that was
     begun goes on from its last checkpoint.
+
+    Args:
+        config: The configuration.
+        overrides: What was given on the command line; kept in the directory.
 
     Raises:
         ValueError: If the configuration is not valid.
@@ -116,7 +121,7 @@ def run_experiment(config: ExperimentConfig) -> Path:
         if _is_complete(directory, config):
             _logger.info("already complete: %s", directory.path)
             return directory.path
-        directory.open(config)
+        directory.open(config, overrides)
         directory.done.unlink(missing_ok=True)
         directory.failed.unlink(missing_ok=True)
         try:
@@ -133,6 +138,7 @@ def run_experiment(config: ExperimentConfig) -> Path:
         directory.write_json(
             "DONE",
             {
+                "version": RUN_VERSION,
                 "code": code_version(),
                 "costs": costs,
                 "evaluation": dataclasses.asdict(config.evaluation),
@@ -181,7 +187,7 @@ def _is_complete(directory: RunDirectory, config: ExperimentConfig) -> bool:
     done = directory.read_json("DONE")
     return (
         done is not None
-        and (done["code"] == code_version() or config.force)
+        and (done.get("version", 0) == RUN_VERSION or config.force)
         and is_spent(config.budget, done["costs"])
         and done["evaluation"] == dataclasses.asdict(config.evaluation)
     )

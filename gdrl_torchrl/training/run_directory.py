@@ -5,29 +5,24 @@ from __future__ import annotations
 import csv
 import dataclasses
 import fcntl
-import functools
 import hashlib
-import importlib.metadata
 import json
 import logging
 import os
-import platform
-import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gdrl_tasks
 from gdrl_torchrl.analysis.fields import COUNT, OBJECT, SECONDS, TEXT, Kind, read_object
 from gdrl_torchrl.analysis.metrics_file import read_rows, split_lines
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.training.provenance import RUN_VERSION, differing_packages, provenance
 
 _logger = logging.getLogger(__name__)
 _FIELDS: Mapping[str, Mapping[str, Kind]] = {
-    "provenance.json": {"code": TEXT},
+    "provenance.json": {"code": TEXT, "packages": OBJECT},
     "DONE": {
-        "code": TEXT,
         "costs.agent_steps": COUNT,
         "costs.total_steps": COUNT,
         "costs.wall_s": SECONDS,
@@ -35,6 +30,8 @@ _FIELDS: Mapping[str, Mapping[str, Kind]] = {
     },
 }
 """What is read of files."""
+_VERSION = {"version": COUNT}
+"""Those of before there were versions have none."""
 _NOT_IN_KEY = (
     "name",
     "seed",
@@ -55,17 +52,31 @@ class RunDirectoryError(RuntimeError):
     """A run directory that cannot be used, and what to do about it."""
 
 
+class RunInUseError(RunDirectoryError):
+    """Another process works at the run, here or on another machine.
+
+    Attributes:
+        path: The run directory.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(
+            f"{path} is in use by another process: wait for it, or end it first"
+        )
+        self.path = path
+
+
 @dataclasses.dataclass(frozen=True)
 class RunDirectory:
-    """``<runs_dir>/<experiment>/<task>/<algorithm>/<key>/seed_<seed>``."""
+    """``<runs_dir>/<name>/<key>/seed_<seed>``."""
 
     path: Path
 
     @classmethod
     def of(cls, config: ExperimentConfig) -> RunDirectory:
         """The directory that belongs to a configuration; nothing is created."""
-        parts = (config.name, config.task.name, config.algorithm_label, run_key(config))
-        return cls(Path(config.runs_dir).joinpath(*parts, f"seed_{config.seed}"))
+        parts = (config.name, run_key(config), f"seed_{config.seed}")
+        return cls(Path(config.runs_dir).joinpath(*parts))
 
     @property
     def checkpoints(self) -> Path:
@@ -79,7 +90,7 @@ class RunDirectory:
 
     @property
     def done(self) -> Path:
-        """Present once a run is complete; says with which budgets and code."""
+        """Present once a run is complete; says with which costs and version."""
         return self.path / "DONE"
 
     @property
@@ -106,34 +117,56 @@ class RunDirectory:
         if not path.exists():
             return None
         try:
-            return read_object(path, _FIELDS.get(name, {}))
+            return read_object(path, _FIELDS.get(name, {}), _VERSION)
         except (OSError, ValueError) as error:
             raise RunDirectoryError(
                 f"{error}: remove this file to go on without it"
             ) from error
 
-    def open(self, config: ExperimentConfig) -> None:
+    def open(self, config: ExperimentConfig, overrides: Sequence[str] = ()) -> None:
         """Create the directory, or check that it may go on.
 
+        Packages that numbers depend on and that have changed are named in a warning.
+
+        Args:
+            config: The configuration.
+            overrides: What was given on the command line; kept beside it.
+
         Raises:
-            RunDirectoryError: If another version of the code wrote it and ``force`` is
-                not set.
+            RunDirectoryError: If it is of another version of runs and ``force`` is not
+                set.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         # What a killed process, or one on a full disk, had not finished.
         for partial in self.path.glob(".*.partial*"):
             partial.unlink()
-        known = self.read_json("provenance.json")
-        here = provenance()
-        if known is not None and known["code"] != here["code"] and not config.force:
-            raise RunDirectoryError(
-                f"{self.path} was written by code {known['code']}, this is "
-                f"{here['code']}: pass force=true to go on with it all the same, or "
-                "remove the directory to start anew"
-            )
-        if known is None or known["code"] != here["code"]:
-            self.write_json("provenance.json", here)
+        known, here = self.read_json("provenance.json"), provenance()
+        before: list[Any] = []
+        if known is not None:
+            self.check_version(known, force=config.force)
+            if differing := differing_packages(known, here):
+                _logger.warning(
+                    "%s was written with %s: its numbers may differ from here on from "
+                    "those of a run of one version",
+                    self.path,
+                    ", ".join(differing),
+                )
+            before = known.pop("before", [])
+            if known != here:
+                before = [*before, known]
+        self.write_json("provenance.json", here | {"before": before})
         self.write_json("config.json", dataclasses.asdict(config))
+        self.write_json("overrides.json", {"overrides": list(overrides)})
+
+    def check_version(self, found: Mapping[str, Any], *, force: bool) -> None:
+        """Raise RunDirectoryError if a file of the run is of another version of runs."""
+        version = found.get("version", 0)
+        if version != RUN_VERSION and not force:
+            raise RunDirectoryError(
+                f"{self.path} was written by version {version} of runs, this is version "
+                f"{RUN_VERSION}, whose results or files differ: pass force=true to go on "
+                "with it all the same, or remove the directory to start anew"
+            )
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -147,9 +180,7 @@ class RunDirectory:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                raise RunDirectoryError(
-                    f"{self.path} is in use by another process"
-                ) from error
+                raise RunInUseError(self.path) from error
             yield
 
 
@@ -168,51 +199,6 @@ def run_key(config: ExperimentConfig) -> str:
         content["evolution"] = {"enabled": False}
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
-
-
-@functools.cache
-def code_version() -> str:
-    """Version of the package and a digest of its sources."""
-    digest = hashlib.sha256()
-    for package in (Path(__file__).parents[1], Path(gdrl_tasks.__file__).parent):
-        for source in sorted(package.rglob("*.py")):
-            digest.update(source.relative_to(package).as_posix().encode())
-            digest.update(source.read_bytes())
-    return f"{_version('gdrl_torchrl')}+{digest.hexdigest()[:8]}"
-
-
-def provenance() -> dict[str, Any]:
-    """Versions of the code and of what it runs on."""
-    packages = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "numpy")
-    return {
-        "code": code_version(),
-        "git": _git_revision(),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "packages": {name: _version(name) for name in packages},
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
-
-
-def _git_revision() -> str | None:
-    try:
-        result = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return result.stdout.strip() or None
 
 
 class MetricsTable:

@@ -129,6 +129,20 @@ def check_times(control_interval_s: float, substep_s: float) -> None:
         )
 
 
+def described(owner: type, name: str) -> str:
+    """What the value of a dataclass's field must be, in words.
+
+    Examples:
+        >>> @dataclasses.dataclass
+        ... class Options:
+        ...     num_beams: int = within(19, least=1, most=360)
+        >>> described(Options, "num_beams")
+        'a whole number >= 1 and <= 360'
+    """
+    (field,) = (field for field in dataclasses.fields(owner) if field.name == name)
+    return _described(_types(owner)[name], field.metadata)
+
+
 @functools.cache
 def _types(owner: type) -> dict[str, Any]:
     return typing.get_type_hints(owner)

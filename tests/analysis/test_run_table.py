@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import shutil
 
 import pytest
 
@@ -14,7 +15,7 @@ from gdrl_torchrl.analysis.run_table import (
     select_runs,
     state_of,
 )
-from gdrl_torchrl.cli.runs import list_runs
+from gdrl_torchrl.cli.runs import list_runs, main
 
 METRICS = "agent_steps,total_steps,success_rate,wall_s\n40,60,0.25,1.5\n80,120,,3.0\n"
 
@@ -24,9 +25,11 @@ def make(tmp_path):
     """Makes a run directory with the files that belong to a state."""
 
     def make_run(state, *, seed=0, metrics=METRICS, **task):
-        run = tmp_path / "smoke" / "water" / "gppo" / "0a1b2c3d" / f"seed_{seed}"
+        run = tmp_path / "smoke" / "0a1b2c3d" / f"seed_{seed}"
         run.mkdir(parents=True)
         config = {"name": "smoke", "seed": seed, "task": {"name": "water"} | task}
+        config["algorithm"] = {"name": "ppo"}
+        config["evolution"] = {"name": "genetic", "enabled": True}
         (run / "config.json").write_text(json.dumps(config))
         (run / ".lock").touch()
         if metrics is not None:
@@ -103,17 +106,83 @@ def test_the_table_is_aligned_and_has_dashes_where_nothing_is_known(make):
     ]
 
 
+def test_a_run_is_what_its_configuration_says_wherever_it_was_copied(make, tmp_path):
+    run = make("done")
+    copy = tmp_path / "elsewhere" / "copy"
+    shutil.copytree(run, copy)
+    assert run_row(copy)["algorithm"] == run_row(run)["algorithm"] == "gppo"
+    # As runs were laid out before.
+    old = tmp_path / "smoke" / "water" / "gppo" / "0a1b2c3d" / "seed_0"
+    shutil.copytree(run, old)
+    assert find_runs(tmp_path) == [copy, run, old]
+    assert run_row(old)["algorithm"] == "gppo"
+
+
 @pytest.mark.parametrize(
-    "arguments", [[], ["state=done"], ["--help"], ["{here}", "done"], ["{here}/nothing"]]
+    "wanted",
+    [
+        {"algorithm": "gppo"},
+        {"algorithm.name": "gppo"},
+        {"algorithm.name": "ppo"},
+        {"task": "water"},
+        {"task.name": "water"},
+        {"name": "smoke"},
+    ],
 )
-def test_bad_arguments_are_answered_with_the_usage(arguments, tmp_path):
-    with pytest.raises(ValueError, match="usage"):
+def test_runs_are_selected_by_what_the_columns_say(wanted, make):
+    run = make("done")
+    assert select_runs([run], wanted) == [run]
+    assert select_runs([run], dict.fromkeys(wanted, "other")) == []
+
+
+def test_a_misspelt_option_is_answered_with_the_nearest(make):
+    run = make("done", sea="calm")
+    with pytest.raises(
+        ValueError, match=r"task\.see=calm must .* did you mean task\.sea\?"
+    ):
+        select_runs([run], {"task.see": "calm"})
+
+
+def test_an_empty_table_says_what_there_is(make, tmp_path, capsys):
+    make("done", sea="calm")
+    lines = list_runs([str(tmp_path), "task.sea=rough"]).splitlines()
+    assert len(lines) == 1
+    assert "no run has task.sea=rough, but calm" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "one folder must be given"),
+        (["state=done"], "one folder must be given"),
+        (["{here}", "done"], "one folder must be given"),
+        (["{here}/nothing"], "nothing must be a folder"),
+        (["{here}", "state=over"], "state=over must be one of done, "),
+    ],
+)
+def test_bad_arguments_are_answered_with_what_must_be_given(arguments, said, tmp_path):
+    with pytest.raises(ValueError, match=said):
         list_runs([argument.format(here=tmp_path) for argument in arguments])
 
 
-def test_an_unknown_state_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="state='over'"):
-        list_runs([str(tmp_path), "state=over"])
+def test_names_of_folders_cannot_command_a_terminal(make, tmp_path, capsys, monkeypatch):
+    make("done")
+    evil = tmp_path / "\x1b[31mred\x07"
+    (tmp_path / "smoke").rename(evil)
+    (damaged,) = find_runs(evil)
+    (damaged / "config.json").write_text("{")
+    monkeypatch.setattr("sys.argv", ["gdrl-runs", str(evil)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    told = str(end.value) + capsys.readouterr().out
+    assert "config.json is not valid JSON" in told
+    assert "red" in told
+    assert not any(sign in told for sign in ("\x1b", "\x07"))
+    monkeypatch.setattr("sys.argv", ["gdrl-runs", str(evil / "nothing")])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert "must be a folder" in str(end.value)
+    assert "\x1b" not in str(end.value)
 
 
 def test_the_command_lists_what_it_finds(make, tmp_path):

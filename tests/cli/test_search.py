@@ -213,13 +213,17 @@ def test_every_search_can_run_its_first_and_last_values(name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "usage"),
-        (["+search=nothing"], "nothing"),
+        ([], "must be given once"),
+        (["+search=nothing"], r"\+search=nothing must be one of"),
+        (["search=gpo_water"], r"did you mean \+search=gppo_water"),
+        (["+search=gppo_water", "+search.fuel=1"], r"\+search.fuel=1 must be an option"),
+        (["+search=gppo_water", "search.num_trials=1e1"], "write 10"),
+        (["+search=gppo_water", "search.seeds=["], "must be name=value"),
         (["+search=gppo_water", "search.num_trials=0"], "num_trials=0"),
         (["+search=gppo_water", "search.storage=redis"], "storage='redis'"),
         (["+search=gppo_water", "search.total_steps=[2,1]"], "ascending"),
         (["+search=gppo_water", "search.params=null"], "params"),
-        (["+search=gppo_water", "search.unknown=1"], "unknown"),
+        (["+search=gppo_water", "search.unknown=1"], "search.unknown=1 must be an option"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message):
@@ -231,6 +235,7 @@ def test_bad_arguments_are_named(arguments, message):
     ("options", "message"),
     [
         ({"params": {"evolution.mut_v": "0.1"}}, "nothing to choose from"),
+        ({"params": {"evolution.mut_v": "choice("}}, "must be name=value"),
         ({"overrides": ["experiment=nothing"]}, "nothing"),
         ({"overrides": ["toy=true"]}, "toy=true"),
     ],

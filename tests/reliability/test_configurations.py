@@ -23,10 +23,11 @@ from gdrl_tasks import task_names, task_options
 from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.config.algorithms import ALGORITHMS, algorithm_configs
 from gdrl_torchrl.config.evolution import EVOLUTIONS, ErlConfig
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.training.build import build_training, make_task_of
+from gdrl_torchrl.training.build import build_training
 from gdrl_torchrl.training.checkpoint import seed_everything
 from gdrl_torchrl.training.evaluate import evaluate_policy
 

@@ -32,8 +32,9 @@ from gdrl_torchrl.analysis.run_files import (
 from gdrl_torchrl.analysis.run_table import find_runs, run_row, select_runs
 from gdrl_torchrl.cli import evaluate, runs
 from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.training import evaluate as evaluation
-from gdrl_torchrl.training.build import make_actor, make_task_of
+from gdrl_torchrl.training.build import make_actor
 from gdrl_torchrl.training.evaluate import load_policy, params_sha256, save_policy
 from gdrl_torchrl.training.monitor import COLUMNS
 from gdrl_torchrl.training.run import run_experiment

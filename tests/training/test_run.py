@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 
@@ -173,23 +174,59 @@ def test_other_held_out_worlds_evaluate_again_without_training(
 
 
 @pytest.mark.parametrize("finished", [True, False])
-def test_a_run_of_another_version_of_the_code_needs_force(
-    finished, tiny, monkeypatch, rows_of
-):
+def test_a_run_of_another_version_of_runs_needs_force(finished, tiny, monkeypatch, rows_of):
     path = run_experiment(tiny("budget.agent_steps=40"))
-    for module in ("run", "run_directory"):
-        monkeypatch.setattr(
-            f"gdrl_torchrl.training.{module}.code_version", lambda: "9.9+other"
-        )
+    for module in ("run", "run_directory", "provenance"):
+        monkeypatch.setattr(f"gdrl_torchrl.training.{module}.RUN_VERSION", 99)
     steps = 40 if finished else 80
     before = (path / "metrics.csv").read_bytes()
     with pytest.raises(RunDirectoryError, match="force=true") as refused:
         run_experiment(tiny(f"budget.agent_steps={steps}"))
-    assert "9.9+other" in str(refused.value)
+    assert "version 99" in str(refused.value)
     assert str(path) in str(refused.value)
     assert (path / "metrics.csv").read_bytes() == before
     assert run_experiment(tiny(f"budget.agent_steps={steps}", "force=true")) == path
     assert rows_of(path)[-1]["agent_steps"] == str(steps)
+
+
+def test_a_run_of_before_there_were_versions_needs_force(tiny):
+    path = run_experiment(tiny("budget.agent_steps=40"))
+    for name in ("DONE", "provenance.json"):
+        content = json.loads((path / name).read_text())
+        del content["version"]
+        (path / name).write_text(json.dumps(content))
+    with pytest.raises(RunDirectoryError, match=r"version 0 of runs.*force=true"):
+        run_experiment(tiny("budget.agent_steps=40"))
+
+
+def test_other_sources_do_not_stop_a_run_and_are_noted(tiny, monkeypatch, rows_of, caplog):
+    path = run_experiment(tiny("budget.agent_steps=40"))
+    first = json.loads((path / "provenance.json").read_text())
+    assert first["before"] == []
+    other = "gdrl_torchrl.training.provenance.code_version"
+    monkeypatch.setattr(other, lambda: "9.9+other")
+    assert run_experiment(tiny("budget.agent_steps=80")) == path
+    assert rows_of(path)[-1]["agent_steps"] == "80"
+    then = json.loads((path / "provenance.json").read_text())
+    assert then["code"] == "9.9+other"
+    assert [known["code"] for known in then["before"]] == [first["code"]]
+    assert "was written with" not in caplog.text
+
+
+def test_other_packages_are_named_in_a_warning_and_the_run_goes_on(tiny, rows_of, caplog):
+    path = run_experiment(tiny("budget.agent_steps=40"))
+    file = path / "provenance.json"
+    content = json.loads(file.read_text())
+    installed = content["packages"]["mujoco"]
+    content["packages"] |= {"torch": "1.0.0", "numpy": "1.2.3"}
+    file.write_text(json.dumps(content))
+    assert run_experiment(tiny("budget.agent_steps=80")) == path
+    assert rows_of(path)[-1]["agent_steps"] == "80"
+    (said,) = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert "torch 1.0.0 (now " in said
+    assert "numpy 1.2.3 (now " in said
+    assert installed not in said
+    assert json.loads(file.read_text())["packages"]["torch"] != "1.0.0"
 
 
 @pytest.mark.parametrize(

@@ -20,20 +20,26 @@ class IndoorOptions:
     """Options of the indoor task."""
 
     arena: Literal["paper", "scatter", "corridor"] = "paper"
+    """Walls and obstacles: the papers' arena, boxes at random places, or a corridor."""
     actions: Literal["discrete", "continuous"] = "discrete"
     """``discrete`` drives at ``speed_m_s`` and chooses one of ``turn_rates_deg_s``;
     ``continuous`` is (speed, turn rate), each in [-1, 1]: standing still to
     ``speed_m_s``, and the largest turn rate to the right and to the left."""
     speed_m_s: float = within(0.15, above=0.0, most=0.3)
+    """Largest speed."""
     turn_rates_deg_s: tuple[float, ...] = within(
         (-90.0, -45.0, 0.0, 45.0, 90.0), lengths=(2, 1000), least=-180.0, most=180.0
     )
+    """Turn rates of the actions, to the left positive."""
     wheel_speed_limit: Literal["burger"] | None = None
     """``burger`` caps each wheel at 0.227 m/s, slowing both by the same factor; None
     drives as commanded, as the papers' simulators do."""
     goal_tolerance_m: float = within(0.15, least=1e-3, most=0.5)
+    """Distance from the goal that counts as there."""
     num_beams: int = within(19, least=1, most=360)
+    """Beams of the lidar."""
     field_of_view_deg: float = within(180.0, above=0.0, most=360.0)
+    """Angle that the beams are spread over."""
     range_noise: bool = False
     """Whether ranges have the errors of the LDS-01's precision."""
     scan_hold: bool = False
@@ -41,7 +47,9 @@ class IndoorOptions:
     at_limit: Literal["terminated", "truncated"] = "terminated"
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     control_interval_s: float = within(0.12, above=0.0, most=10.0)
+    """Time between actions."""
     substep_s: float = within(0.02, least=1e-4, most=0.1)
+    """Time step of the simulation."""
     step_limit: int | None = within(None, least=1, most=1_000_000)
     """None takes the arena's: 500, in the corridor 1,000."""
 

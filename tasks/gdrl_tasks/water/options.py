@@ -34,12 +34,15 @@ class WaterOptions:
     """Options of the water task; ``None`` means what ``difficulty`` says."""
 
     difficulty: Literal["near", "far"] = "near"
+    """What goal and sea are unless they are given."""
     goal_distance_m: tuple[float, float] | None = within(
         None, lengths=(2, 2), above=0.0, most=1e4
     )
     """Range of the goal's distance from the start; its bearing is anything."""
     goal_tolerance_m: float | None = within(None, least=1e-3, most=1e4)
+    """Distance from the goal that counts as there."""
     sea: Literal["calm", "lake", "rough"] | None = None
+    """How high the waves are."""
     significant_wave_height_m: float | None = within(None, least=0.0, most=2.0)
     """Fixes Hs in every episode; ``None`` draws it from the sea's wind and fetch."""
     peak_period_s: float | None = within(
@@ -53,14 +56,20 @@ class WaterOptions:
     at_limit: Literal["terminated", "truncated"] = "terminated"
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     actions: Literal["continuous", "discrete"] = "continuous"
+    """Two thrusts from -1 to 1, or one of seven pairs of them."""
     dead_zone_compensated: bool = False
+    """Whether small thrusts are mapped past the thrusters' dead zone."""
     extra_observations: tuple[str, ...] = among((), EXTRA_OBSERVATIONS)
     """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
     control_interval_s: float = within(0.25, above=0.0, most=1.0)
-    """A goal is looked for along a straight line; in a longer step the way bends more."""
+    """Time between actions. A goal is looked for along a straight line in it; in a longer
+    step the way bends more."""
     substep_s: float = within(0.03125, least=1e-4, most=0.1)
+    """Time step of the simulation."""
     step_limit: int = within(160, least=1, most=1_000_000)
+    """Control steps that an episode takes at most."""
     wave_components: int = within(12, least=1, most=1000)
+    """Sine waves that the sea is the sum of."""
 
     def __post_init__(self) -> None:
         check_choice("difficulty", self.difficulty, DIFFICULTIES)
