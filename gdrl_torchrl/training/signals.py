@@ -96,7 +96,7 @@ class StopSignals:
 
 def stop_signals() -> list[signal.Signals]:
     """The signals that end a run once it is saved."""
-    configured = getattr(signal, f"SIG{os.environ.get(_OF_SUBMITIT)}", None)
+    configured: Any = getattr(signal, f"SIG{os.environ.get(_OF_SUBMITIT)}", None)
     return [*_SIGNALS, *({configured} - {None, *_SIGNALS})]
 
 
