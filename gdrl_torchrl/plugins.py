@@ -7,32 +7,32 @@ laid out like ours); tasks are in ``gdrl.tasks``, see :mod:`gdrl_tasks.registry`
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
+from gdrl_tasks.plugins import Offers, offers_of
 
-def with_plugins(own: Mapping[str, Any], group: str) -> dict[str, Any]:
+
+def with_plugins(
+    own: Mapping[str, Any], group: str, *, needs: tuple[str, ...] = ()
+) -> Offers:
     """Our own things by name, and those that other packages offer.
+
+    What is broken, or has the name of one of ours or of another package's, is left out,
+    with a warning that names it and its package; so does the error of whoever asks for it.
 
     Args:
         own: Ours.
         group: Group of entry points.
-
-    Raises:
-        ValueError: If a name is taken.
+        needs: Attributes that what is offered must have.
 
     Examples:
         >>> with_plugins({"one": 1}, "gdrl.nothing_offers_this")
         {'one': 1}
     """
-    found = dict(own)
-    for name, (plugin, value) in _loaded(group).items():
-        if name in own:
-            raise ValueError(f"{group}: {name!r} of {value} is the name of one of ours")
-        found[name] = plugin
-    return found
+    offers = offers_of(group, needs=needs, taken=frozenset(own))
+    return Offers({**own, **offers}, offers.broken)
 
 
 def plugin_names(group: str) -> list[str]:
@@ -47,17 +47,6 @@ def plugin_names(group: str) -> list[str]:
 
 def conf_packages() -> list[str]:
     """Packages of other distributions with configuration files, in order of name."""
-    return sorted(entry.value for entry in entry_points(group="gdrl.conf"))
-
-
-@functools.cache
-def _loaded(group: str) -> dict[str, tuple[Any, str]]:
-    loaded: dict[str, tuple[Any, str]] = {}
-    for entry in entry_points(group=group):
-        if entry.name in loaded:
-            raise ValueError(
-                f"{group}: {entry.name!r} is offered by {loaded[entry.name][1]} and by "
-                f"{entry.value}"
-            )
-        loaded[entry.name] = entry.load(), entry.value
-    return loaded
+    working = offers_of("gdrl.conf")
+    entries = entry_points(group="gdrl.conf")
+    return sorted(entry.value for entry in entries if entry.name in working)

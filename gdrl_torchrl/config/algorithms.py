@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
+from gdrl_tasks.plugins import Offers
 from gdrl_torchrl.config.checks import (
     MOST_WORLDS,
     among,
@@ -156,11 +158,17 @@ ALGORITHMS: dict[str, type] = {
 """The dataclass of each ``conf/algorithm`` of ours."""
 
 
-def algorithm_configs() -> dict[str, type]:
+def algorithm_configs() -> Offers:
     """The dataclass of each algorithm, those of other packages included."""
-    offered = with_plugins({}, "gdrl.algorithms")
-    others = {name: algorithm.config for name, algorithm in offered.items()}
-    return others | ALGORITHMS
+    offers = with_algorithms(ALGORITHMS)
+    others = {n: offer.config for n, offer in offers.items() if n not in ALGORITHMS}
+    return Offers(others | ALGORITHMS, offers.broken)
+
+
+def with_algorithms(own: Mapping[str, Any]) -> Offers:
+    """Ours by name, and the algorithms that other packages offer."""
+    needs = ("config", "make_actor", "make_agent")
+    return with_plugins(own, "gdrl.algorithms", needs=needs)
 
 
 def check_whole_rows(frames_per_batch: int, num_worlds: int) -> None:

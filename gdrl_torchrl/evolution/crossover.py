@@ -188,4 +188,4 @@ def crossovers() -> dict[str, Callable[..., TensorDictBase]]:
         >>> sorted(crossovers())[:2]
         ['n_point', 'none']
     """
-    return with_plugins(CROSSOVERS, "gdrl.crossovers")
+    return with_plugins(CROSSOVERS, "gdrl.crossovers", needs=("__call__",))

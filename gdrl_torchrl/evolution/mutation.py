@@ -100,7 +100,7 @@ def mutations() -> dict[str, Callable[..., TensorDictBase]]:
         >>> sorted(mutations())[:2]
         ['bernoulli', 'pseudocode']
     """
-    return with_plugins(MUTATIONS, "gdrl.mutations")
+    return with_plugins(MUTATIONS, "gdrl.mutations", needs=("__call__",))
 
 
 def standard_deviation(mut_v: float, meaning: str) -> float:

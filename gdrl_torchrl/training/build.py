@@ -7,12 +7,16 @@ import dataclasses
 from tensordict.nn import TensorDictModuleBase
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.config.algorithms import GAConfig, PPOConfig, RainbowConfig
+from gdrl_torchrl.config.algorithms import (
+    GAConfig,
+    PPOConfig,
+    RainbowConfig,
+    with_algorithms,
+)
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import OnDivergence
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.plugins import with_plugins
 from gdrl_torchrl.training.agent import Agent, Algorithm
 from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.evolve import make_population_hook
@@ -31,7 +35,7 @@ ALGORITHMS: dict[str, Algorithm] = {
 
 def algorithm_of(config: ExperimentConfig) -> Algorithm:
     """The algorithm of a run."""
-    return with_plugins(ALGORITHMS, "gdrl.algorithms")[config.algorithm.name]
+    return with_algorithms(ALGORITHMS)[config.algorithm.name]
 
 
 @dataclasses.dataclass

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from types import FrameType
 from typing import Any
 
 import torch
@@ -22,6 +21,7 @@ from gdrl_torchrl.training.agent import TrainsInSteps
 from gdrl_torchrl.training.faults import FaultFiles
 from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.training.run_directory import MetricsTable
+from gdrl_torchrl.training.signals import StopSignals
 from gdrl_torchrl.training.update import Update
 
 COLUMNS = (
@@ -45,7 +45,6 @@ COLUMNS = (
     "switched",
 )
 _logger = logging.getLogger(__name__)
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 _SECONDS_BETWEEN_LINES = 15.0
 
 
@@ -60,10 +59,8 @@ class RunMonitor(TrainerHookBase):
         save_interval_s: Seconds between checkpoints.
         faults: Counts the worlds that diverged.
         updates: Count the updates that were skipped.
+        signals: End training once one was received.
         logger: Also gets every number.
-
-    Attributes:
-        interrupted_by: The signal that ended training, or None.
     """
 
     def __init__(
@@ -76,6 +73,7 @@ class RunMonitor(TrainerHookBase):
         save_interval_s: float = 30.0,
         faults: FaultFiles | None = None,
         updates: Sequence[Update] = (),
+        signals: StopSignals | None = None,
         logger: Logger | None = None,
     ) -> None:
         self.genetic = genetic
@@ -85,8 +83,8 @@ class RunMonitor(TrainerHookBase):
         self.save_interval_s = save_interval_s
         self.faults = faults
         self.updates = list(updates)
+        self.signals = signals or StopSignals()
         self.logger = logger
-        self.interrupted_by: signal.Signals | None = None
         self.wall_s_before = 0.0
         self._started = time.monotonic()
         self._saved = self._started
@@ -95,7 +93,6 @@ class RunMonitor(TrainerHookBase):
         self._batch_stats: dict[str, float] = {}
         self._trainer: TrainsInSteps | None = None
         self._bar: tqdm | None = None
-        self._previous_handlers: dict[signal.Signals, Any] = {}
         genetic.on_evaluation.append(self._note_evaluation)
 
     def register(self, trainer: TrainsInSteps, name: str = "run_monitor") -> None:
@@ -105,10 +102,8 @@ class RunMonitor(TrainerHookBase):
         trainer.register_op("post_steps", self)
 
     def start(self) -> None:
-        """Start the clock, the progress bar and the handling of signals."""
+        """Start the clock and the progress bar."""
         self._started = self._saved = self._said = time.monotonic()
-        for number in _SIGNALS:
-            self._previous_handlers[number] = signal.signal(number, self._interrupt)
         self._bar = tqdm(
             total=self.budget.agent_steps or self.budget.total_steps,
             initial=self._progress(),
@@ -120,12 +115,11 @@ class RunMonitor(TrainerHookBase):
         )
 
     def stop(self) -> None:
-        """Give back the signals and close the bar."""
-        for number, handler in self._previous_handlers.items():
-            signal.signal(number, handler)
-        self._previous_handlers.clear()
+        """Close the bar."""
         if self._bar is not None:
-            self._bar.close()
+            # The terminal may be gone.
+            with contextlib.suppress(OSError):
+                self._bar.close()
 
     @property
     def agent_steps(self) -> int:
@@ -164,11 +158,11 @@ class RunMonitor(TrainerHookBase):
                     self.logger.log_scalar(f"train/{name}", value, step=self.total_steps)
         self._show(row)
         spent = is_spent(self.budget, row)
-        if spent or self.interrupted_by is not None:
+        if spent or self.signals.received:
             assert self._trainer is not None
             self._trainer.request_stop()
         now = time.monotonic()
-        if spent or self.interrupted_by or now - self._saved >= self.save_interval_s:
+        if spent or self.signals.received or now - self._saved >= self.save_interval_s:
             self.save(self.total_steps)
             self._saved = time.monotonic()
 
@@ -235,7 +229,11 @@ class RunMonitor(TrainerHookBase):
                 f"switches {row['switches']}/{row['evaluations']}",
                 refresh=False,
             )
-            self._bar.update(self._progress() - self._bar.n)
+            try:
+                self._bar.update(self._progress() - self._bar.n)
+            except OSError:
+                # The terminal is gone; training goes on, or saves by SIGHUP.
+                self._bar.disable = True
         elif time.monotonic() - self._said >= _SECONDS_BETWEEN_LINES:
             self._said = time.monotonic()
             _logger.info(
@@ -247,12 +245,6 @@ class RunMonitor(TrainerHookBase):
                 row["switches"],
                 row["evaluations"],
             )
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        self.interrupted_by = signal.Signals(number)
-        _logger.warning(
-            "%s: finishing this iteration, then saving", self.interrupted_by.name
-        )
 
 
 def _of_agent(evaluation: GeneticEvaluation, fitness: torch.Tensor) -> float | None:

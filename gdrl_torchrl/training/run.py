@@ -41,6 +41,7 @@ from gdrl_torchrl.training.run_directory import (
     RunDirectoryError,
     run_key,
 )
+from gdrl_torchrl.training.signals import StoppedError, StopSignals
 from gdrl_torchrl.training.update import NonFiniteUpdateError
 from gdrl_torchrl.training.video import (
     record_trajectories,
@@ -51,25 +52,38 @@ from gdrl_torchrl.training.worker import WorkerDiedError
 
 _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_OF_THE_DISK = (
-    *_FULL,
-    *(errno.EACCES, errno.EIO, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR),
-    *(errno.EPERM, errno.EROFS),
+_GO_ON = (
+    "checkpoints that were saved are whole: {0}, and the same command goes on from them"
 )
+_ADVICE = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _GO_ON.format("free some space")),
+    errno.EFBIG: _GO_ON.format("allow larger files (ulimit -f)"),
+    **dict.fromkeys(
+        (errno.EMFILE, errno.ENFILE), _GO_ON.format("allow more open files (ulimit -n)")
+    ),
+    **dict.fromkeys(
+        (errno.ENOENT, errno.ESTALE, errno.ENOTCONN),
+        "was something removed, or a disk taken away, while it ran? The same command goes "
+        "on from the checkpoints that are left",
+    ),
+}
 
 
 class InterruptedRunError(RuntimeError):
-    """A signal ended training; the run was saved and can be resumed.
+    """A signal ended a run; it was saved and can be resumed.
+
+    Its cause is the error, if there was one, of who else had a handler for the signal, as
+    job systems have.
 
     Attributes:
         signal: The signal.
         path: The run directory.
     """
 
-    def __init__(self, number: signal.Signals, path: Path) -> None:
+    def __init__(self, number: signal.Signals, path: Path, answer: str = "") -> None:
         super().__init__(
             f"stopped by {number.name} and saved: the same command goes on with {path}"
+            + answer
         )
         self.signal = number
         self.path = path
@@ -117,34 +131,73 @@ def run_experiment(config: ExperimentConfig, overrides: Sequence[str] = ()) -> P
     # What is wrong is said before anything is written.
     make_task_of(config)
     directory = RunDirectory.of(config)
-    with _disk_errors_named(directory.path), directory.locked():
+    signals = StopSignals()
+    with _disk_errors_named(directory.path):
+        # Without the lock, which is a file: the disk may be one that is only read.
         if _is_complete(directory, config):
             _logger.info("already complete: %s", directory.path)
             return directory.path
-        directory.open(config, overrides)
-        directory.done.unlink(missing_ok=True)
-        directory.failed.unlink(missing_ok=True)
         try:
-            costs = _run(directory, config)
-        except InterruptedRunError:
-            raise
-        except Exception as error:
-            # On a full disk this fails as well, and must not hide the error.
-            with contextlib.suppress(OSError):
-                directory.write_json(
-                    "FAILED", {"error": f"{type(error).__name__}: {error}"}
-                )
-            raise
-        directory.write_json(
-            "DONE",
-            {
-                "version": RUN_VERSION,
-                "code": code_version(),
-                "costs": costs,
-                "evaluation": dataclasses.asdict(config.evaluation),
-            },
-        )
-    return directory.path
+            with signals, directory.locked():
+                _bring_to_its_end(directory, config, signals, overrides)
+            return directory.path
+        except StoppedError:
+            pass
+    # Now the signals are no longer kept, nor is the directory.
+    raise _answered(signals, directory.path)
+
+
+def _answered(signals: StopSignals, path: Path) -> InterruptedRunError:
+    """What to raise, once whoever else had handlers for the signals has answered them."""
+    number = signals.received[0]
+    stop = InterruptedRunError(number, path)
+    try:
+        signals.hand_on()
+    except SystemExit:
+        # As of a job that is queued again.
+        _logger.warning("%s", stop)
+        raise
+    except Exception as error:
+        stop = InterruptedRunError(number, path, f" ({type(error).__name__}: {error})")
+        stop.__cause__ = error
+    return stop
+
+
+def _bring_to_its_end(
+    directory: RunDirectory,
+    config: ExperimentConfig,
+    signals: StopSignals,
+    overrides: Sequence[str],
+) -> None:
+    """Train or go on, evaluate and draw, unless another process has done so by now.
+
+    Raises:
+        StoppedError: If there was a signal; everything is saved.
+    """
+    if _is_complete(directory, config):
+        return
+    directory.open(config, overrides)
+    directory.done.unlink(missing_ok=True)
+    directory.failed.unlink(missing_ok=True)
+    try:
+        costs = _run(directory, config, signals)
+    except Exception as error:
+        # On a full disk this fails as well, and must not hide the error.
+        with contextlib.suppress(OSError):
+            directory.write_json("FAILED", {"error": f"{type(error).__name__}: {error}"})
+        raise
+    directory.write_json(
+        "DONE",
+        {
+            "version": RUN_VERSION,
+            "code": code_version(),
+            "costs": costs,
+            "evaluation": dataclasses.asdict(config.evaluation),
+        },
+    )
+    if signals.received:
+        # Or a sweep would go on as if there had been none.
+        raise StoppedError
 
 
 @contextlib.contextmanager
@@ -153,24 +206,21 @@ def _disk_errors_named(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _OF_THE_DISK:
-            raise
-        advice = ""
-        if error.errno in _FULL:
-            advice = (
-                "; checkpoints that were saved are whole: free some space, and the same "
-                "command goes on from them"
-            )
-        raise RunDirectoryError(f"{path}: {error}{advice}") from error
+        advice = _ADVICE.get(error.errno or 0)
+        text = f"{path}: {error}" + (f"; {advice}" if advice else "")
+        raise RunDirectoryError(text) from error
 
 
-def _run(directory: RunDirectory, config: ExperimentConfig) -> dict[str, Any]:
+def _run(
+    directory: RunDirectory, config: ExperimentConfig, signals: StopSignals
+) -> dict[str, Any]:
     seed_everything(config.seed)
     faults = FaultFiles(directory.path, config)
     training = build_training(config, on_divergence=faults.note_world)
     try:
-        costs = _train(directory, config, training, faults)
-        _report(directory, config, training, faults, costs)
+        costs = _train(directory, config, training, faults, signals)
+        with signals.ending_at_once():
+            _report(directory, config, training, faults, costs)
     except NonFiniteUpdateError as error:
         batch = faults.note_update(error)
         raise TrainingDivergedError(error, directory, batch) from error
@@ -198,6 +248,7 @@ def _train(
     config: ExperimentConfig,
     training: Training,
     faults: FaultFiles,
+    signals: StopSignals,
 ) -> dict[str, Any]:
     table = MetricsTable(directory.metrics, COLUMNS)
 
@@ -218,6 +269,7 @@ def _train(
             save_interval_s=config.checkpoint.interval_s,
             faults=faults,
             updates=training.agent.updates,
+            signals=signals,
         )
         monitor.register(training.agent.trainer)
         state = TrainingState(training, monitor)
@@ -234,14 +286,13 @@ def _train(
             raise RunDirectoryError(str(error)) from error
         table.cut_after(monitor.total_steps)
         monitor.logger = _make_logger(directory, config, stack, monitor.total_steps)
-        if not is_spent(config.budget, monitor.counters()):
+        if not signals.received and not is_spent(config.budget, monitor.counters()):
             monitor.start()
             stack.callback(monitor.stop)
             training.agent.trainer.train()
-        costs = monitor.counters()
-        if monitor.interrupted_by is not None and not is_spent(config.budget, costs):
-            raise InterruptedRunError(monitor.interrupted_by, directory.path)
-    return costs
+        if signals.received:
+            raise StoppedError
+    return monitor.counters()
 
 
 def _make_logger(
@@ -268,9 +319,6 @@ def _report(
     costs: dict[str, Any],
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
-    # Imported here because matplotlib takes a second to import.
-    from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
-
     task, actor = training.task, training.agent.actor
     result = training.genetic.final_genome()
     if result is not None:
@@ -296,9 +344,29 @@ def _report(
         task, act, seeds[:_TRAJECTORIES_DRAWN], num_threads=threads
     )
     save_trajectories(directory.path, trajectories)
-    draw_learning_curve(directory.path)
-    draw_trajectories(directory.path)
+    # Imported here because matplotlib takes a second to import.
+    from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
+
+    with _nice_to_have("learning curve"):
+        draw_learning_curve(directory.path)
+    with _nice_to_have("trajectories"):
+        draw_trajectories(directory.path)
     if config.logger.video_episodes:
         video = directory.path / "videos" / "episodes.mp4"
-        how = write_video(task, act, seeds[: config.logger.video_episodes], video)
-        _logger.info("video %s: %s", how, video)
+        with _nice_to_have("video"):
+            how = write_video(task, act, seeds[: config.logger.video_episodes], video)
+            _logger.info("video %s: %s", how, video)
+
+
+@contextlib.contextmanager
+def _nice_to_have(picture: str) -> Iterator[None]:
+    """A run is complete without pictures: whatever fails while one is made is told."""
+    try:
+        yield
+    except Exception as error:
+        _logger.warning(
+            "no picture of the %s: %s: %s; the run is complete without it",
+            picture,
+            type(error).__name__,
+            error,
+        )

@@ -17,8 +17,14 @@ from typing import Any
 
 import torch
 
-_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
-"""A run's own process answers them by saving, for which it needs its workers."""
+_NOT_IGNORED = {
+    *(signal.SIGKILL, signal.SIGSTOP),  # these cannot be
+    # Faults of the process itself, and the control of jobs and children.
+    *(signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT),
+    *(signal.SIGTRAP, signal.SIGSYS, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU),
+    *(signal.SIGCONT, signal.SIGCHLD),
+}
+"""All others may be answered by a run's own process, by saving: it needs its workers."""
 _SECONDS_TO_DIE = 5.0
 
 
@@ -56,8 +62,8 @@ class ForkedWorker:
 
     A fork costs milliseconds where a new interpreter would import torch for seconds, and
     the object may be made of anything that is here. Its process keeps no file, lock or
-    connection of this one, runs torch on one thread, is not ended by the signals that a
-    run saves at, and dies with this object or with the process that made it.
+    connection of this one, runs torch on one thread, is not ended by any signal that a
+    run may save at, and dies with this object or with the process that made it.
 
     Args:
         make: Makes the object, in the new process.
@@ -82,7 +88,12 @@ class ForkedWorker:
             # That another thread may hold a lock. Nothing that a worker does takes a lock
             # of what was there before it.
             warnings.simplefilter("ignore", DeprecationWarning)
-            self._process.start()
+            # What comes before the process ignores it waits until then, and is dropped.
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ignored())
+            try:
+                self._process.start()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         # Not by atexit: multiprocessing waits there for processes that are not ended.
         parts = (self._process, self._connection)
@@ -123,13 +134,25 @@ class ForkedWorker:
             return WorkerDiedError("the worker was closed")
         self._process.join(_SECONDS_TO_DIE)
         code = self._process.exitcode
-        how = "does not answer" if code is None else f"ended with exit code {code}"
-        if code is not None and code < 0:
-            how = f"was killed by {signal.Signals(-code).name}"
         return WorkerDiedError(
-            f"process {self._process.pid}, a worker of this one, {how}; a system that is "
-            "short of memory kills processes by SIGKILL"
+            f"process {self._process.pid}, a worker of this one, {_how_ended(code)}"
         )
+
+
+def _how_ended(code: int | None) -> str:
+    if code is None:
+        return "does not answer"
+    if code >= 0:
+        return f"ended with exit code {code}"
+    name = signal.Signals(-code).name
+    how = f"was killed by {name} (exit code {code})"
+    if name == "SIGKILL":
+        how += "; a system that is short of memory kills processes so"
+    return how
+
+
+def _ignored() -> set[signal.Signals]:
+    return signal.valid_signals() - _NOT_IGNORED
 
 
 def _end(process: Any, connection: Connection) -> None:
@@ -141,8 +164,10 @@ def _end(process: Any, connection: Connection) -> None:
 
 def _serve(make: Callable[[], Any], connection: Connection) -> None:
     """Call methods until the other side is gone."""
-    for number in _IGNORED:
+    for number in _ignored():
         signal.signal(number, signal.SIG_IGN)
+    # A mask may have been there before, but not for this.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ignored())
     _close_files_but(connection.fileno())
     # Objects of the other side stay as they are: their threads are not here.
     gc.freeze()

@@ -107,9 +107,18 @@ def check_fields(options: Any, group: str = "") -> None:
 
 
 def check_choice(name: str, value: Any, choices: Collection[str]) -> None:
-    """Raise ValueError unless a value is one of the choices."""
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name}={value!r} must be one of {sorted(choices)}")
+    """Raise ValueError unless a value is one of the choices.
+
+    Choices that know of broken ones, as :class:`~gdrl_tasks.plugins.Offers` do, say what
+    is wrong with one that is asked for.
+    """
+    if isinstance(value, str) and value in choices:
+        return
+    text = f"{name}={value!r} must be one of {sorted(choices)}"
+    broken: Mapping[Any, str] = getattr(choices, "broken", {})
+    if isinstance(value, str) and value in broken:
+        text += f"; {broken[value]}"
+    raise ValueError(text)
 
 
 def check_range(name: str, value: Any, **bounds: float) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gdrl_tasks.checks import check_choice
 from gdrl_tasks.indoor.options import IndoorOptions
+from gdrl_tasks.plugins import Offers, offers_of
 from gdrl_tasks.water.options import WaterOptions
 
 if TYPE_CHECKING:
@@ -55,14 +56,12 @@ _BUILT_IN = (
 
 
 @functools.cache
-def _registry() -> dict[str, RegisteredTask]:
+def _registry() -> Offers:
     tasks = {task.name: task for task in _BUILT_IN}
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        task = entry.load()
-        if task.name in tasks:
-            raise ValueError(f"task {task.name!r} is registered twice ({entry.value})")
-        tasks[task.name] = task
-    return tasks
+    needs = tuple(field.name for field in dataclasses.fields(RegisteredTask))
+    offers = offers_of(ENTRY_POINT_GROUP, needs=needs, taken=frozenset(tasks))
+    # The name of a task is its own, and should be that of its entry point.
+    return Offers({**{task.name: task for task in offers.values()}, **tasks}, offers.broken)
 
 
 def task_names(tag: str | None = None) -> tuple[str, ...]:
@@ -102,8 +101,7 @@ def task_options(name: str) -> type:
     Raises:
         ValueError: If the task is unknown.
     """
-    if name not in _registry():
-        raise ValueError(f"task={name!r} must be one of {sorted(_registry())}")
+    check_choice("task", name, _registry())
     return _registry()[name].options
 
 

@@ -6,13 +6,17 @@ import errno
 import json
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from gdrl_torchrl.analysis import figures
+from gdrl_torchrl.analysis.run_table import state_of
 from gdrl_torchrl.training import run
 from gdrl_torchrl.training.monitor import COLUMNS
 from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
 from gdrl_torchrl.training.run_directory import MetricsTable, RunDirectoryError
+from gdrl_torchrl.training.signals import _say_that_no_signal_saves, stop_signals
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -38,11 +42,8 @@ def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(
     assert int(rows[-1]["population_steps"]) > 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1])
-def test_a_signal_saves_and_the_same_command_goes_on(
-    number, tiny, tmp_path, monkeypatch, rows_of, evaluation_of
-):
-    whole = run_experiment(tiny(f"runs_dir={tmp_path / 'a'}"))
+def interrupting(number):
+    """``MetricsTable.append`` that sends a signal after the second row."""
     append = MetricsTable.append
 
     def append_and_interrupt(self, row):
@@ -50,20 +51,123 @@ def test_a_signal_saves_and_the_same_command_goes_on(
         if row["agent_steps"] == 80:
             os.kill(os.getpid(), number)
 
+    return append_and_interrupt
+
+
+@pytest.mark.parametrize("number", stop_signals(), ids=lambda number: number.name)
+def test_a_signal_saves_and_the_same_command_goes_on(
+    number, tiny, tmp_path, monkeypatch, rows_of, evaluation_of
+):
+    whole = run_experiment(tiny(f"runs_dir={tmp_path / 'a'}"))
     before = signal.getsignal(number)
-    config = tiny(f"runs_dir={tmp_path / 'b'}")
+    config = tiny(f"runs_dir={tmp_path / 'b'}", "checkpoint.interval_s=600")
     with monkeypatch.context() as patch:
-        patch.setattr(MetricsTable, "append", append_and_interrupt)
+        patch.setattr(MetricsTable, "append", interrupting(number))
         with pytest.raises(InterruptedRunError) as stop:
             run_experiment(config)
     assert stop.value.signal == number
     assert str(stop.value.path) in str(stop.value)
     assert signal.getsignal(number) is before
-    assert not (stop.value.path / "DONE").exists()
+    assert state_of(stop.value.path) == "stopped"
+    assert [row["agent_steps"] for row in rows_of(stop.value.path)] == ["40", "80"]
     resumed = run_experiment(config)
     assert resumed == stop.value.path
     assert rows_of(resumed) == rows_of(whole)
     assert evaluation_of(resumed)["params_sha256"] == evaluation_of(whole)["params_sha256"]
+
+
+class JobSystem:
+    """What handles a signal of a job system: it queues the job again, or cannot."""
+
+    def __init__(self, answer):
+        self.answer = answer
+        self.found = []
+
+    def __call__(self, number, frame):
+        (checkpoints,) = self.runs_dir.rglob("checkpoints")
+        self.found.append((number, state_of(checkpoints.parent)))
+        if self.answer is not None:
+            raise self.answer
+
+
+@pytest.mark.parametrize("configured", ["USR2", "RTMIN"])
+@pytest.mark.parametrize(
+    ("answer", "expected", "says"),
+    [
+        (None, InterruptedRunError, "the same command goes on"),
+        (SystemExit(144), SystemExit, "144"),
+        (
+            RuntimeError("not queued again"),
+            InterruptedRunError,
+            r"the same command goes on.*\(RuntimeError: not queued again\)",
+        ),
+    ],
+    ids=["nothing", "exit", "error"],
+)
+def test_who_handled_a_signal_before_does_so_once_the_run_is_saved(
+    answer, expected, says, configured, tiny, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("SUBMITIT_PREEMPT_SIGNAL", configured)
+    number = getattr(signal, f"SIG{configured}")
+    monkeypatch.setattr(MetricsTable, "append", interrupting(number))
+    handler = JobSystem(answer)
+    handler.runs_dir = tmp_path / "runs"
+    before = signal.signal(number, handler)
+    try:
+        with pytest.raises(expected, match=says):
+            run_experiment(tiny("checkpoint.interval_s=600"))
+    finally:
+        signal.signal(number, before)
+    assert handler.found == [(number, "stopped")], "saved, and held by nobody"
+    assert len(list(tmp_path.rglob("checkpoint-*"))) == 1
+
+
+def test_a_hang_up_that_is_ignored_stays_so(tiny, monkeypatch):
+    """As ``nohup`` has it."""
+    monkeypatch.setattr(MetricsTable, "append", interrupting(signal.SIGHUP))
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert state_of(run_experiment(tiny())) == "done"
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize(
+    "step", ["build_training", "evaluate_policy", "record_trajectories", "write_json"]
+)
+def test_a_signal_at_any_other_time_ends_a_run_too_and_it_goes_on(
+    step, tiny, tmp_path, monkeypatch, evaluation_of, rows_of
+):
+    whole = run_experiment(tiny(f"runs_dir={tmp_path / 'a'}"))
+    place = run.RunDirectory if step == "write_json" else run
+    inner = getattr(place, step)
+
+    def signalled(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return inner(*arguments, **options)
+
+    config = tiny(f"runs_dir={tmp_path / 'b'}")
+    with monkeypatch.context() as patch:
+        patch.setattr(place, step, signalled)
+        with pytest.raises(InterruptedRunError) as stop:
+            run_experiment(config)
+    assert state_of(stop.value.path) == "stopped"
+    assert run_experiment(config) == stop.value.path
+    assert rows_of(stop.value.path) == rows_of(whole)
+    mine, other = evaluation_of(stop.value.path), evaluation_of(whole)
+    assert mine["params_sha256"] == other["params_sha256"]
+
+
+def test_a_run_in_a_thread_has_no_handlers_and_says_so_once(tiny, caplog, evaluation_of):
+    _say_that_no_signal_saves.cache_clear()
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(run_experiment, tiny("name=first")).result()
+        pool.submit(run_experiment, tiny("name=second")).result()
+    said = [line for line in caplog.messages if "thread" in line]
+    assert len(said) == 1
+    assert "no signal makes a run save" in said[0]
+    here = run_experiment(tiny("name=here"))
+    assert evaluation_of(here)["params_sha256"] == evaluation_of(first)["params_sha256"]
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
@@ -160,6 +264,41 @@ def test_a_finished_run_is_not_trained_again(tiny, monkeypatch, rows_of):
         if not p.exists() or p.stat().st_mtime_ns != time
     }
     assert changed <= {".lock"}
+
+
+@pytest.mark.parametrize(
+    "part", ["draw_learning_curve", "draw_trajectories", "write_video"]
+)
+def test_pictures_that_cannot_be_made_do_not_fail_a_run(part, tiny, monkeypatch, caplog):
+    def broken(*arguments, **options):
+        raise RuntimeError("there is no ffmpeg here")
+
+    monkeypatch.setattr(run if part == "write_video" else figures, part, broken)
+    path = run_experiment(tiny("logger.video_episodes=1"))
+    assert state_of(path) == "done"
+    (said,) = [line for line in caplog.messages if "ffmpeg" in line]
+    assert "the run is complete without it" in said
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [
+        (errno.EFBIG, "ulimit -f"),
+        (errno.EMFILE, "ulimit -n"),
+        (errno.ENOENT, "removed"),
+        (errno.ESTALE, "taken away"),
+        (errno.ENOMEM, "Cannot allocate memory"),
+    ],
+)
+def test_errors_of_the_system_are_named(number, advice, tiny, tmp_path, monkeypatch):
+    def append(self, row):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(MetricsTable, "append", append)
+    with pytest.raises(RunDirectoryError, match=advice) as refused:
+        run_experiment(tiny())
+    assert str(tmp_path) in str(refused.value)
+    assert os.strerror(number) in str(refused.value)
 
 
 def test_other_held_out_worlds_evaluate_again_without_training(

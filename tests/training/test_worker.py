@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from gdrl_torchrl.training.signals import stop_signals
 from gdrl_torchrl.training.worker import ForkedWorker, LocalWorker, WorkerDiedError
 
 KINDS = [LocalWorker, ForkedWorker]
@@ -126,7 +127,7 @@ def test_a_killed_process_is_named_with_what_killed_it(worker, call):
     os.kill(process_id, signal.SIGKILL)
     if call is None:
         assert is_gone(process_id)
-    with pytest.raises(WorkerDiedError, match=rf"{process_id}.* killed by SIGKILL"):
+    with pytest.raises(WorkerDiedError, match=rf"{process_id}.* killed by SIGKILL.*memory"):
         worker.end() if call else ask(worker, "add", 1)
     with pytest.raises(WorkerDiedError, match="killed by SIGKILL"):
         ask(worker, "add", 1)
@@ -151,9 +152,58 @@ def test_a_worker_that_nobody_holds_ends():
 
 def test_signals_that_a_run_saves_at_do_not_end_it(worker):
     process_id = ask(worker, "add", 1)[1]
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+    for number in stop_signals():
         os.kill(process_id, number)
         assert ask(worker, "add", 1)[1] == process_id
+
+
+def test_any_signal_that_its_maker_may_be_told_to_answer_does_not_end_it(worker):
+    process_id = ask(worker, "add", 1)[1]
+    for number in (signal.SIGALRM, signal.SIGPROF, signal.SIGRTMIN, signal.SIGRTMIN + 3):
+        os.kill(process_id, number)
+        assert ask(worker, "add", 1)[1] == process_id
+
+
+def test_a_signal_while_a_worker_is_made_is_its_makers_alone():
+    said = []
+    before = signal.signal(signal.SIGUSR2, lambda *ignored: said.append(os.getpid()))
+    fork = os.fork
+
+    def fork_and_signal():
+        process_id = fork()
+        os.kill(process_id or os.getpid(), signal.SIGUSR2)
+        return process_id
+
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "fork", fork_and_signal)
+            worker = ForkedWorker(lambda: said)
+        os.kill(os.getpid(), signal.SIGUSR2)
+        assert ask(worker, "copy") == []
+        assert said == [os.getpid()]
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+        worker.close()
+
+
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        (lambda: os._exit(3), "ended with exit code 3"),
+        (os.abort, r"killed by SIGABRT \(exit code -6\)"),
+    ],
+)
+def test_memory_is_not_blamed_for_what_it_does_not_do(end, said):
+    worker = ForkedWorker(lambda: Ending(end))
+    with pytest.raises(WorkerDiedError, match=said) as died:
+        ask(worker, "end")
+    assert "memory" not in str(died.value)
+    worker.close()
+
+
+class Ending:
+    def __init__(self, end):
+        self.end = end
 
 
 def test_a_worker_holds_no_lock_of_its_maker(tmp_path):
