@@ -103,8 +103,8 @@ class LoggerConfig:
 
     tensorboard: bool = True
     """Whether curves are written for TensorBoard too."""
-    video_episodes: int = within(2, least=0, most=1000)
-    """Held-out episodes in the video; 0 makes none."""
+    video_episodes: int = within(0, least=0, most=1000)
+    """Held-out episodes in a video at the end; 0 makes none: gdrl-video does later."""
 
     def __post_init__(self) -> None:
         check_fields(self, "logger")

@@ -38,7 +38,7 @@ _SIZES: dict[type, dict[str, Any]] = {
 def as_toy(config: ExperimentConfig) -> ExperimentConfig:
     """The same system with a population of three and a few thousand steps.
 
-    Nothing is learned; episodes are short, 20 are evaluated, and there is no video.
+    Nothing is learned; episodes are short, and 20 are evaluated.
 
     Examples:
         >>> from gdrl_torchrl.config.task import task_config_class

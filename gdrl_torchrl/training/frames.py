@@ -75,11 +75,24 @@ class Film:
 
 
 def rendered_frames(task: NavigationTask, film: Film) -> Iterator[np.ndarray]:
-    """Replay the recorded actions and render what the two cameras see.
+    """Replay the recorded actions and render what the two cameras see."""
+    for shown in replayed_moments(task, film, prepare=draw_faster):
+        yield _render(shown.physics, film.height, film.width)
+
+
+def replayed_moments(
+    task: NavigationTask, film: Film, *, prepare: Callable[[Any], object]
+) -> Iterator[Any]:
+    """Replay the recorded actions; an environment as it was at each moment of a film.
 
     Between control steps there are the states of the substeps, and between those what
     lies between. One environment replays, another one is posed and rendered: nothing
     that is shown can change what happens.
+
+    Args:
+        task: The task.
+        film: What is shown.
+        prepare: Called with the physics that is shown before it has rendered anything.
     """
     # tensordict loads Triton, which ends the process if it is loaded after Mesa's
     # software driver.
@@ -89,7 +102,7 @@ def rendered_frames(task: NavigationTask, film: Film) -> Iterator[np.ndarray]:
 
     played, shown = make_environment(task), make_environment(task)
     # Smoothed edges alone would take half of the time where the processor renders.
-    draw_faster(shown.physics)
+    prepare(shown.physics)
     try:
         for episode in range(film.num_episodes):
             seed = int(film.trajectories["episode_seed"][episode])
@@ -101,7 +114,7 @@ def rendered_frames(task: NavigationTask, film: Film) -> Iterator[np.ndarray]:
             shown.reset()
             for moment in film.moments(episode):
                 _pose(shown, replay, float(moment))
-                yield _render(shown.physics, film.height, film.width)
+                yield shown
     finally:
         played.close()
         shown.close()

@@ -19,6 +19,7 @@ from gdrl_torchrl import keys
 from gdrl_torchrl.config.schema import BudgetConfig
 from gdrl_torchrl.training.agent import TrainsInSteps
 from gdrl_torchrl.training.faults import FaultFiles
+from gdrl_torchrl.training.phases import PHASES, PhaseClock
 from gdrl_torchrl.training.population_hook import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.training.run_directory import MetricsTable
 from gdrl_torchrl.training.signals import StopSignals
@@ -44,6 +45,7 @@ COLUMNS = (
     "winner",
     "switched",
 )
+"""Of every run; those of its updates follow, then those of the clock."""
 _logger = logging.getLogger(__name__)
 _SECONDS_BETWEEN_LINES = 15.0
 
@@ -76,6 +78,7 @@ class RunMonitor(TrainerHookBase):
         signals: StopSignals | None = None,
         logger: Logger | None = None,
     ) -> None:
+        self.phases = PhaseClock()
         self.genetic = genetic
         self.budget = budget
         self.table = table
@@ -98,12 +101,14 @@ class RunMonitor(TrainerHookBase):
     def register(self, trainer: TrainsInSteps, name: str = "run_monitor") -> None:
         """Register with a trainer, after every hook whose work is to be reported."""
         self._trainer = trainer
+        self.phases.register(trainer)
         trainer.register_op("pre_steps_log", self._note_batch)
         trainer.register_op("post_steps", self)
 
     def start(self) -> None:
         """Start the clock and the progress bar."""
         self._started = self._saved = self._said = time.monotonic()
+        self.phases.start(self.total_steps)
         self._bar = tqdm(
             total=self.budget.agent_steps or self.budget.total_steps,
             initial=self._progress(),
@@ -153,9 +158,7 @@ class RunMonitor(TrainerHookBase):
         row = self._row()
         self.table.append(row)
         if self.logger is not None:
-            for name, value in row.items():
-                if value is not None and name != "total_steps":
-                    self.logger.log_scalar(f"train/{name}", value, step=self.total_steps)
+            self.logger.log_metrics(_curves(row), step=self.total_steps)
         self._show(row)
         spent = is_spent(self.budget, row)
         if spent or self.signals.received:
@@ -165,6 +168,7 @@ class RunMonitor(TrainerHookBase):
         if spent or self.signals.received or now - self._saved >= self.save_interval_s:
             self.save(self.total_steps)
             self._saved = time.monotonic()
+        self.phases.begin_row(self.total_steps)
 
     def state_dict(self) -> dict[str, Any]:
         """The clock and diverged worlds; other counters belong to trainer and hook."""
@@ -199,7 +203,9 @@ class RunMonitor(TrainerHookBase):
                 "switched": int(self._evaluation.switched),
             }
             self._evaluation = None
-        return row
+        for update in self.updates:
+            row |= update.means.take()
+        return row | self.phases.row(self.total_steps)
 
     def _num_diverged(self) -> int:
         return 0 if self.faults is None else self.faults.num_diverged
@@ -245,6 +251,23 @@ class RunMonitor(TrainerHookBase):
                 row["switches"],
                 row["evaluations"],
             )
+
+
+def columns_of(updates: Sequence[Update]) -> tuple[str, ...]:
+    """Names of the columns of a run's metrics."""
+    names = [name for update in updates for name in update.means.names]
+    return (*COLUMNS, *names, *PHASES)
+
+
+def _curves(row: dict[str, Any]) -> dict[str, Any]:
+    """What TensorBoard shows of a row, in groups."""
+    groups: dict[str, str] = dict.fromkeys(COLUMNS, "train")
+    groups |= dict.fromkeys(("wall_s", *PHASES), "time")
+    return {
+        f"{groups.get(name, 'update')}/{name}": value
+        for name, value in row.items()
+        if value is not None and name != "total_steps"
+    }
 
 
 def _of_agent(evaluation: GeneticEvaluation, fitness: torch.Tensor) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import Any
 
@@ -27,7 +28,9 @@ from gdrl_torchrl.training.agent import (
     make_training_env,
 )
 from gdrl_torchrl.training.collect import make_collector
-from gdrl_torchrl.training.update import Update
+from gdrl_torchrl.training.update import NOTHING, Update
+
+_ENTROPY_OF_UNIT_NORMAL = 0.5 * math.log(2.0 * math.pi * math.e)
 
 
 def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
@@ -81,14 +84,16 @@ class PPOLearner(OptimizationStepper):
         read += [names.action, names.sample_log_prob]
         read += [names.advantage, names.value_target, names.value]
         self._keys = list(dict.fromkeys(read))
-        # A trainer averages whatever an update returns: nobody reads the diagnostics.
         self.update = Update(
             loss,
             optimizer,
             config.max_grad_norm,
-            diagnostics=[],
+            diagnostics=["kl_approx", "clip_fraction", "explained_variance"],
+            noted=["entropy"],
             on_non_finite=on_non_finite,
         )
+        self.num_epochs = config.num_epochs
+        self._epoch = 0
         self._minibatches: list[Any] = []
 
     def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
@@ -103,7 +108,21 @@ class PPOLearner(OptimizationStepper):
         rows = batch.select(*self._keys).reshape(-1)
         order = torch.randperm(len(rows), generator=self.generator)
         self._minibatches = list(rows[order].split(self.minibatch_size))
+        self._epoch = self._epoch % self.num_epochs + 1
+        if self._epoch == 1:
+            self._note_entropy(batch)
         return batch
+
+    @torch.no_grad()
+    def _note_entropy(self, batch: TensorDictBase) -> None:
+        """Of the normal distribution that actions are drawn from before they are squashed.
+
+        That of the squashed one has no formula: to sample it would take random numbers
+        that the run then lacks.
+        """
+        logarithms = batch["scale"].log().sum(-1).mean()
+        offset = _ENTROPY_OF_UNIT_NORMAL * batch["scale"].shape[-1]
+        self.update.means.add([("entropy", logarithms + offset)])
 
     def draw(self, batch: TensorDictBase) -> TensorDictBase:
         """The next minibatch of the epoch.
@@ -116,12 +135,14 @@ class PPOLearner(OptimizationStepper):
         return self._minibatches.pop(0)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """One update; the losses by name, detached.
+        """One update, whose numbers are in the means of ``update``.
 
         Raises:
             NonFiniteUpdateError: If something in it is not finite.
         """
-        return self.update(sub_batch)
+        # Of the last epoch: how far the policy has come from the one that collected.
+        self.update(sub_batch, diagnose=self._epoch == self.num_epochs)
+        return NOTHING
 
     def state_dict(self) -> dict[str, Any]:
         """Generator of the order, and a counter."""

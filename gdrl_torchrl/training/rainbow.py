@@ -45,7 +45,7 @@ from gdrl_torchrl.training.agent import (
 )
 from gdrl_torchrl.training.collect import make_collector
 from gdrl_torchrl.training.collect_ahead import AheadCollector
-from gdrl_torchrl.training.update import Update
+from gdrl_torchrl.training.update import NOTHING, Update
 
 _OTHER_DRAWS = 1 << 41
 """Added to a run's seed for what acts ahead, beside what learns."""
@@ -109,14 +109,15 @@ class RainbowLearner(OptimizationStepper):
         self.num_updates = 0
         self.num_episodes = 0
         self._target_and_online = target_and_online(loss)
-        # A trainer averages whatever an update returns: nobody reads the diagnostics.
         self.update = Update(
             loss,
             optimizer,
             config.max_grad_norm,
-            diagnostics=[],
+            diagnostics=["q_mean", "clipped_mass"],
+            noted=["priority_mean", "priority_max"],
             on_non_finite=on_non_finite,
         )
+        self._is_first_update = True
         self._anneal()
 
     def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
@@ -129,6 +130,7 @@ class RainbowLearner(OptimizationStepper):
         """Put a batch ``[W, T]`` into the buffer; epsilon decays by ended episode."""
         self.buffer.extend(self.n_step(batch))
         self.num_episodes += int(batch["next", keys.DONE].sum())
+        self._is_first_update = True
         self._anneal()
         return batch
 
@@ -143,21 +145,27 @@ class RainbowLearner(OptimizationStepper):
         return draw_minibatch(self.buffer)
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """One update; the losses by name, detached.
+        """One update, whose numbers are in the means of ``update``.
 
         Raises:
             NonFiniteUpdateError: If something in it is not finite; nothing has changed,
                 the priorities included.
         """
         resample_noise(self.loss)
-        losses = self.update(sub_batch)
+        diagnose, self._is_first_update = self._is_first_update, False
+        self.update(sub_batch, diagnose=diagnose)
         if self.update.skipped:
-            return losses
+            return NOTHING
         torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
         note_errors(self.buffer, sub_batch)
+        if diagnose:
+            error = sub_batch[self.loss.tensor_keys.priority]
+            self.update.means.add(
+                [("priority_mean", error.mean()), ("priority_max", error.max())]
+            )
         self.num_updates += 1
         self._anneal()
-        return losses
+        return NOTHING
 
     def share(self, transitions: TensorDictBase, share: float) -> int:
         """Take a share of whole episodes ``[T]`` of other policies into the buffer."""

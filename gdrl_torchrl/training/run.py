@@ -33,7 +33,7 @@ from gdrl_torchrl.training.evaluate import (
     save_policy,
 )
 from gdrl_torchrl.training.faults import FaultFiles
-from gdrl_torchrl.training.monitor import COLUMNS, RunMonitor, is_spent
+from gdrl_torchrl.training.monitor import RunMonitor, columns_of, is_spent
 from gdrl_torchrl.training.provenance import RUN_VERSION, code_version
 from gdrl_torchrl.training.run_directory import (
     MetricsTable,
@@ -250,7 +250,7 @@ def _train(
     faults: FaultFiles,
     signals: StopSignals,
 ) -> dict[str, Any]:
-    table = MetricsTable(directory.metrics, COLUMNS)
+    table = MetricsTable(directory.metrics, columns_of(training.agent.updates))
 
     def save(step: int) -> None:
         # First what a run that goes on from this checkpoint will not write again.
@@ -308,7 +308,23 @@ def _make_logger(
 
     logger = ResumedTensorboardLogger(directory.path, total_steps)
     stack.callback(logger.experiment.close)
+    logger.log_configuration(dataclasses.asdict(config), total_steps)
     return logger
+
+
+def _show_result(
+    directory: RunDirectory, config: ExperimentConfig, record: dict[str, Any]
+) -> None:
+    """Give the held-out result and the figures to TensorBoard."""
+    step = int(record["total_steps"])
+    with contextlib.ExitStack() as stack:
+        logger: Any = _make_logger(directory, config, stack, step)
+        if logger is None:
+            return
+        numbers = {n: record[n] for n in ("success_rate", "return_mean") if n in record}
+        logger.log_metrics({f"held_out/{n}": x for n, x in numbers.items()}, step)
+        for path in sorted((directory.path / "figures").glob("*.png")):
+            logger.log_picture(f"figures/{path.stem}", path, step)
 
 
 def _report(
@@ -351,6 +367,8 @@ def _report(
         draw_learning_curve(directory.path)
     with _nice_to_have("trajectories"):
         draw_trajectories(directory.path)
+    with _nice_to_have("result in TensorBoard"):
+        _show_result(directory, config, record)
     if config.logger.video_episodes:
         video = directory.path / "videos" / "episodes.mp4"
         with _nice_to_have("video"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -11,7 +11,10 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.objectives.common import LossModule
 
 from gdrl_torchrl.objectives.traced_loss import TracedLoss
+from gdrl_torchrl.training.means import Means
 
+NOTHING = TensorDict()
+"""For trainers, which average whatever an update returns: nobody reads that."""
 _logger = logging.getLogger(__name__)
 
 
@@ -36,13 +39,16 @@ class Update:
         loss: The loss module; the sum of its losses is minimised.
         optimizer: The optimiser.
         max_grad_norm: Gradients of a larger norm, all together, are scaled to it.
-        diagnostics: What the loss is to return beside its losses; None is everything.
+        diagnostics: What the loss is to return beside its losses in those updates that
+            are diagnosed.
+        noted: Names of what else is added to ``means``.
         on_non_finite: What a loss or a gradient that is not finite leads to: ``stop``
             raises an error before anything is changed, ``skip`` makes no update.
 
     Attributes:
         num_skipped: Updates that were not made.
         skipped: Whether the last one was not.
+        means: Of losses, diagnostics and ``grad_norm`` of the updates that were made.
     """
 
     def __init__(
@@ -51,7 +57,8 @@ class Update:
         optimizer: torch.optim.Optimizer,
         max_grad_norm: float,
         *,
-        diagnostics: Iterable[str] | None = None,
+        diagnostics: Sequence[str] = (),
+        noted: Iterable[str] = (),
         on_non_finite: str = "stop",
     ) -> None:
         self.optimizer = optimizer
@@ -66,16 +73,30 @@ class Update:
         self._names = [
             named.get(id(p), f"parameter {i}") for i, p in enumerate(self._parameters)
         ]
-        self._loss = TracedLoss(loss, self._parameters, diagnostics=diagnostics)
+        names = map(str, loss.out_keys)
+        minimised = [name for name in names if name.startswith("loss")]
+        self.means = Means([*minimised, "grad_norm", *diagnostics, *noted])
+        # What nobody reads is not computed: in most updates, diagnostics.
+        self._loss = TracedLoss(loss, self._parameters, diagnostics=[])
+        self._diagnosed = TracedLoss(loss, self._parameters, diagnostics=diagnostics)
 
-    def __call__(self, batch: TensorDictBase) -> TensorDict:
-        """Make one update; losses and diagnostics, detached, and ``grad_norm``.
+    def __call__(self, batch: TensorDictBase, *, diagnose: bool = False) -> TensorDict:
+        """Make one update.
+
+        Args:
+            batch: A minibatch ``[B]``.
+            diagnose: Whether to ask the loss for its diagnostics as well. Gradients are
+                the same bit for bit.
+
+        Returns:
+            Losses and, if asked for, diagnostics, detached; and ``grad_norm``.
 
         Raises:
             NonFiniteUpdateError: If a loss or a gradient is not finite, unless such
                 updates are skipped, or a parameter is not.
         """
-        losses = self._loss.backward(batch)
+        loss = self._diagnosed if diagnose else self._loss
+        losses = loss.backward(batch)
         gradients = [p.grad for p in self._parameters if p.grad is not None]
         with torch.no_grad():
             norm = torch.stack(torch._foreach_norm(gradients)).norm()
@@ -89,6 +110,7 @@ class Update:
         self.optimizer.step()
         if not self._are_finite(self._parameters):
             raise NonFiniteUpdateError(self._non_finite(losses), batch)
+        self.means.add(losses.items())
         return losses
 
     @torch.no_grad()

@@ -133,6 +133,7 @@ def write_video(
     height: int = 360,
     width: int = 480,
     max_frames: int = 150,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Literal["rendered", "drawn"]:
     """Write an mp4 of episodes one after another, from above and from behind.
 
@@ -151,6 +152,7 @@ def write_video(
         max_frames: The video runs in real time or, to be no longer than this (each
             episode's last second, which stands still, not counted), twice, three times,
             ... as fast.
+        progress: Called after every frame with how many there are, and will be.
 
     Returns:
         Whether the frames were ``rendered`` or ``drawn``.
@@ -172,13 +174,13 @@ def write_video(
     if backend is not None:
         os.environ.setdefault("MUJOCO_GL", backend)
         try:
-            _encode(film, rendered_frames(task, film), Path(path))
+            _encode(film, rendered_frames(task, film), Path(path), progress)
         except Exception as error:  # what a driver can raise has no common type
             why, reason = "rendering failed", repr(error)
         else:
             return "rendered"
     _logger.warning("%s: drawn from above with matplotlib (%s)", why, reason)
-    _encode(film, drawn_frames(task, film), Path(path))
+    _encode(film, drawn_frames(task, film), Path(path), progress)
     return "drawn"
 
 
@@ -237,7 +239,12 @@ def _arena_of(task: IndoorTask, worlds: BatchSimulation) -> dict[str, np.ndarray
     }
 
 
-def _encode(film: Film, pictures: Iterator[np.ndarray], path: Path) -> None:
+def _encode(
+    film: Film,
+    pictures: Iterator[np.ndarray],
+    path: Path,
+    progress: Callable[[int, int], object] | None,
+) -> None:
     """Put captions under the pictures and write them as H.264."""
     import imageio.v2 as imageio
 
@@ -258,6 +265,7 @@ def _encode(film: Film, pictures: Iterator[np.ndarray], path: Path) -> None:
         output_params=["-preset", "veryfast"],
         ffmpeg_log_level="error",
     )
+    written = 0
     try:
         with writer:
             for episode in range(film.num_episodes):
@@ -266,6 +274,9 @@ def _encode(film: Film, pictures: Iterator[np.ndarray], path: Path) -> None:
                     frame = captions.under(next(pictures), episode, moment)
                     for _ in range(1 + film.hold * (number == len(moments))):
                         writer.append_data(frame)
+                        written += 1
+                    if progress is not None:
+                        progress(written, film.num_frames)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)

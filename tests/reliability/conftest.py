@@ -11,6 +11,7 @@ import pytest
 
 from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.config.evolution import ErlConfig
+from gdrl_torchrl.training.phases import PHASES
 
 ROWS = 90
 # So near that some get there: a population without differences hands nothing over.
@@ -80,7 +81,8 @@ def rows_of():
     def rows(run):
         """Rows of a run's metrics, without the clock."""
         with (run / "metrics.csv").open(newline="") as file:
-            return [{**row, "wall_s": None} for row in csv.DictReader(file)]
+            blank = dict.fromkeys(("wall_s", *PHASES))
+            return [row | blank for row in csv.DictReader(file)]
 
     return rows
 

@@ -95,7 +95,7 @@ def curves_of(run):
     return {
         name: [(event.step, event.value) for event in events.Scalars(name)]
         for name in events.Tags()["scalars"]
-        if "wall_s" not in name
+        if not name.startswith("time/")
     }
 
 

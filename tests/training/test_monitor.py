@@ -8,6 +8,7 @@ import pytest
 
 from gdrl_torchrl.config.schema import BudgetConfig
 from gdrl_torchrl.training.monitor import COLUMNS, is_spent
+from gdrl_torchrl.training.phases import PHASES
 from gdrl_torchrl.training.run import run_experiment
 
 NO_BUDGET = ("budget.agent_steps=null",)
@@ -39,7 +40,10 @@ class TestBudgets:
 
     def test_rows_add_up(self, tiny, rows_of):
         path = run_experiment(tiny("budget.agent_steps=240"))
-        assert (path / "metrics.csv").read_text().splitlines()[0] == ",".join(COLUMNS)
+        header = (path / "metrics.csv").read_text().splitlines()[0]
+        losses = ("loss_objective", "loss_critic", "grad_norm")
+        measures = ("kl_approx", "clip_fraction", "explained_variance", "entropy")
+        assert header == ",".join((*COLUMNS, *losses, *measures, *PHASES))
         rows = rows_of(path)
         evaluated = [row for row in rows if row["mut_p"] != ""]
         assert len(evaluated) == int(rows[-1]["evaluations"]) >= 2

@@ -415,7 +415,7 @@ def test_the_dm_control_backend_trains_and_evaluates_a_population_of_three(
     assert record["evaluations"] >= 1
     assert record["population_steps"] >= 3 * 2
     assert rows[-1]["success_rate"] != ""
-    assert tuple(rows[0]) == tuple(name for name in COLUMNS if name != "wall_s")
+    assert set(rows[0]) > set(COLUMNS) - {"wall_s"}
 
 
 def test_a_run_on_the_dm_control_backend_goes_on(tiny, rows_of):
