@@ -61,6 +61,7 @@ EVALUATION_KEYS = [
 FILES = [
     "config.json",
     "provenance.json",
+    "overrides.json",
     "metrics.csv",
     "evaluation.json",
     "DONE",
@@ -135,6 +136,11 @@ def check_the_directory(path):
     assert not list(path.rglob("*.partial*"))
 
 
+def check_what_was_given_is_kept(path):
+    kept = json.loads((path / "overrides.json").read_text())
+    assert kept == {"overrides": list(OVERRIDES)}
+
+
 def check_the_evaluation(path):
     record = json.loads((path / "evaluation.json").read_text())
     assert list(record) == EVALUATION_KEYS
@@ -197,24 +203,7 @@ def test_a_run_is_interrupted_goes_on_is_evaluated_and_is_returned(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["runs"]
     check_that_it_went_on(path, rows)
     check_the_directory(path)
+    check_what_was_given_is_kept(path)
     check_the_evaluation(path)
     check_an_evaluation_under_other_settings(path, tmp_path)
     check_that_the_command_only_returns_it(last_line, path, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "arguments", "said"),
-    [
-        ("gdrl-train", ["algorithm.fuel=1"], "algorithm.fuel"),
-        ("gdrl-train", ["task.step_limit=0"], "step_limit=0"),
-        ("gdrl-evaluate", ["run=elsewhere"], "run=elsewhere"),
-    ],
-)
-def test_mistakes_end_a_command_with_one_readable_error(command, arguments, said, tmp_path):
-    code, out, err = run(command, *arguments, cwd=tmp_path)
-    assert code not in (0, None)
-    assert said in err
-    assert "Traceback" not in err
-    assert out == ""
-    assert not list(tmp_path.iterdir()), "nothing may be written"

@@ -133,17 +133,55 @@ def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_p
     runs = find_runs(tmp_path)
     assert [run_row(run)["state"] for run in runs] == ["done"] * 3
     assert len(printed.split()) == 3
+    assert "Traceback" not in said
+    assert said.splitlines()[-1].startswith(
+        "error: jobs that failed: 3, the last one: job 5"
+    )
     assert {path: os.stat(path).st_mtime_ns for path in stamps} == stamps, "not run again"
 
 
 @pytest.mark.slow
-def test_each_job_of_the_local_launcher_has_a_process_and_errors_are_shown(tmp_path):
+def test_jobs_in_other_processes_tell_their_directories_and_their_errors(tmp_path):
     axes = ("experiment=ppo_water,grainbow_water", "task.actions=continuous")
     job = sweep(tmp_path, *axes, "hydra/launcher=submitit_local")
-    _, said = job.communicate(timeout=300)
-    assert job.returncode != 0, "a job failed"
+    printed, said = job.communicate(timeout=300)
+    assert job.returncode == 1, "a job failed"
     assert "give task.actions=discrete" in said
+    assert "Traceback" not in said
     (run,) = find_runs(tmp_path)
     assert run_row(run)["state"] == "done"
+    assert printed == f"{run}\n"
     # A pickled result of each process.
     assert len(list(tmp_path.rglob(".submitit/*/*_result.pkl"))) == 2
+    assert not list(tmp_path.rglob(".jobs"))
+
+
+@pytest.mark.slow
+def test_a_run_that_another_process_holds_is_passed_over(tmp_path):
+    axes = ("experiment=ppo_water", "seed=0,1")
+    overrides = [axes[0], "seed=0", *SMALL, f"runs_dir={tmp_path}"]
+    held = RunDirectory.of(load_experiment(overrides))
+    with held.locked():
+        job = sweep(tmp_path, *axes)
+        printed, said = job.communicate(timeout=300)
+    assert job.returncode == 0, said
+    assert f"skipped: {held.path} runs elsewhere" in said
+    assert "Traceback" not in said
+    assert printed == f"{held.path.with_name('seed_1')}\n"
+    job = sweep(tmp_path, *axes)
+    printed, said = job.communicate(timeout=300)
+    assert job.returncode == 0
+    assert [Path(line).name for line in printed.split()] == ["seed_0", "seed_1"]
+
+
+@pytest.mark.slow
+def test_the_same_sweep_in_many_processes_is_a_queue(tmp_path):
+    axes = ("experiment=ppo_water", "seed=0,1,2,3")
+    jobs = [sweep(tmp_path, *axes) for _ in range(2)]
+    told = [job.communicate(timeout=300)[1] for job in jobs]
+    assert [job.returncode for job in jobs] == [0, 0], told
+    assert not any("Traceback" in said for said in told)
+    runs = find_runs(tmp_path)
+    assert [run_row(run)["state"] for run in runs] == ["done"] * 4
+    # A run that both had trained would be evaluated twice.
+    assert sum(said.count("held-out success") for said in told) == 4

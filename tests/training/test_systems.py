@@ -53,7 +53,7 @@ def test_a_system_that_was_stopped_ends_where_one_that_was_not_does(
     whole = run_experiment(small(name, budgets[1], f"runs_dir={tmp_path / 'whole'}"))
     for budget in budgets:
         stopped = run_experiment(small(name, budget))
-    assert stopped.parts[-3] == SYSTEMS[name]
+    assert evaluation_of(stopped)["algorithm"] == SYSTEMS[name]
     assert rows_of(stopped) == rows_of(whole)
     one, other = evaluation_of(stopped), evaluation_of(whole)
     assert one.pop("wall_s") > 0.0
