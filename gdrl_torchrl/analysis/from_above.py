@@ -20,8 +20,13 @@ Surface = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 """Elevation in metres ``[M, N]`` over x ``[N]``, y ``[M]`` (metres) at a time (s)."""
 
 # Outline of the boat in its own frame, metres, bow at +x.
-_HALF_BOAT = np.array([[-0.65, 0.38], [0.2, 0.38], [0.5, 0.22], [0.68, 0.0]])
+_HALF_BOAT = np.array([[-0.65, 0.3], [-0.1, 0.38], [0.2, 0.34], [0.5, 0.18], [0.72, 0.0]])
 _BOAT = np.concatenate([_HALF_BOAT, _HALF_BOAT[-2::-1] * [1.0, -1.0]])
+_BOAT_BOW = np.array([[0.2, 0.34], [0.5, 0.18], [0.72, 0.0], [0.5, -0.18], [0.2, -0.34]])
+_POINTER = np.array([[1.0, 0.0], [0.0, 0.5], [0.25, 0.0], [0.0, -0.5]])
+_POINTER_SHARE, _POINTER_MARGIN = 0.14, 0.03
+"""Length of what points at a goal out of view, and its distance from the edge, in parts of
+half the panel's height."""
 _CLOSE_HALF_HEIGHT_M = 2.0
 _CLOSE_IN_ARENA_M = 1.2
 _DOTS_PER_INCH = 100
@@ -101,6 +106,7 @@ class FromAbove:
         beams = self._beams(path[-1], heading, ranges)
         for panel, centre in zip(self.panels, (np.zeros(2), path[-1]), strict=True):
             panel.place(centre, path, heading)
+            panel.point_at_goal(centre)
             panel.paint_sea(self.surface, time_s)
             panel.beams.set_segments(beams)
         self.canvas.draw()
@@ -134,6 +140,7 @@ class _Panel:
         layout: Layout | None,
     ) -> None:
         self.axes = axes
+        self.goal = np.asarray(goal, dtype=float)
         self.half = np.array([aspect * half_height_m, half_height_m])
         axes.set(xticks=[], yticks=[], facecolor=style.STILL_WATER)
         axes.spines[:].set_visible(False)
@@ -162,12 +169,17 @@ class _Panel:
         look = {"fc": style.VEHICLE, "ec": style.INK, "lw": 1.0}
         self.vehicle = Polygon(self.outline, closed=True, zorder=4, **look)
         axes.add_patch(self.vehicle)
-        self.bow = None
+        # A round robot does not show where it is heading, nor does a boat from afar.
+        self._bow = _BOAT_BOW
         if layout is not None:
-            # A round robot does not show where it is heading.
-            (self.bow,) = axes.plot([], [], color=style.INK, lw=1.6, zorder=4.5)
             front = np.array([self.outline[:, 0].max(), layout.middle_m[1]])
-            self._bow_line = np.stack([layout.middle_m, front])
+            self._bow = np.stack([layout.middle_m, front])
+        look = {"fc": style.INK, "ec": style.INK, "lw": 1.6 if layout else 0.0}
+        self.bow = Polygon(self._bow, closed=layout is None, zorder=4.5, **look)
+        axes.add_patch(self.bow)
+        look = {"fc": style.VERMILION, "ec": "white", "lw": 0.8}
+        self.pointer = Polygon(_POINTER, closed=True, zorder=6, visible=False, **look)
+        axes.add_patch(self.pointer)
         # Obstacles may lie under the scale.
         halo = [] if layout is None else [withStroke(linewidth=3.0, foreground="white")]
         self._add_scale(halo)
@@ -178,8 +190,20 @@ class _Panel:
         self.axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         self.path.set_data(*path.T)
         self.vehicle.set_xy(posed(self.outline, path[-1], heading))
-        if self.bow is not None:
-            self.bow.set_data(*posed(self._bow_line, path[-1], heading).T)
+        self.bow.set_xy(posed(self._bow, path[-1], heading))
+
+    def point_at_goal(self, centre: np.ndarray) -> None:
+        """Point at the goal from the edge of the view where it is out of it."""
+        way = self.goal - centre
+        edge = self.half - _POINTER_MARGIN * self.half[1]
+        beyond = float(np.max(np.abs(way) / edge))
+        self.pointer.set_visible(beyond > 1.0)
+        if beyond > 1.0:
+            length = _POINTER_SHARE * self.half[1]
+            heading = float(np.arctan2(way[1], way[0]))
+            tip = centre + way / beyond
+            points = length * (_POINTER - _POINTER[0])
+            self.pointer.set_xy(posed(points, tip, heading))
 
     def paint_sea(self, surface: Surface | None, time_s: float) -> None:
         """Paint the part of the sea that is in view."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
@@ -19,9 +20,15 @@ _VIEW_MARGIN_M = 1.0
 _WANDERER_REACH = 1.5
 """Paths farther out than this times the farthest goal do not widen the view."""
 _MOST_PANELS = 8
+_MOST_PATHS = 16
+"""Of vessels in one picture: more are a tangle."""
 _PANELS_WIDTH_IN = 12.0
 """Of all panels side by side, at most."""
 _PANEL_LINE = 1.8
+_HEADING_EVERY_M = 1.6
+"""Way between two marks of where a vessel is heading, from half of that on."""
+_HEADING_MARK = np.array([[0.2, 0.0], [-0.12, 0.11], [-0.05, 0.0], [-0.12, -0.11]])
+"""Outline of such a mark, metres, ahead is +x."""
 _START = {
     "linestyle": "none",
     "marker": "o",
@@ -40,7 +47,8 @@ def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
             :func:`gdrl_torchrl.training.video.record_trajectories`.
 
     Returns:
-        The paths from above, x to the right and y up, in metres, coloured by outcome;
+        The paths of the first 16 episodes from above, x to the right and y up, in
+        metres, coloured by outcome, with marks that show where a vessel is heading;
         where there are obstacles, which differ by episode, a panel for each of the
         first eight episodes.
     """
@@ -48,13 +56,17 @@ def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
         return _make_panels(trajectories)
     position = trajectories["position"]
     names = _outcomes(trajectories)
+    shown = names[:_MOST_PATHS]
     figure = style.new_figure(8.4, 8.0, layout="constrained")
     axes = figure.add_subplot()
     _draw_sea(figure, axes, trajectories)
-    for name in _in_order(names):
-        chosen = [k for k, other in enumerate(names) if other == name]
+    for name in _in_order(shown):
+        chosen = [k for k, other in enumerate(shown) if other == name]
         _draw_paths(axes, trajectories, chosen, name)
-    axes.plot(*position[0].T, label="start", **_START)
+        _draw_headings(axes, trajectories, chosen, name)
+    axes.plot(*position[0, : len(shown)].T, label="start", **_START)
+    heading: dict[str, Any] = {"ls": "none", "marker": (3, 0, -90), "ms": 8}
+    axes.plot([], [], label="heading", color=style.GREY, **heading)
     reach = view_reach(trajectories)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     axes.set_xlabel("x (m)", fontsize=10)
@@ -62,10 +74,10 @@ def make_trajectories(trajectories: dict[str, np.ndarray]) -> Figure:
     axes.tick_params(length=3, color="#b0b0b0", labelsize=9)
     axes.spines[:].set_color("#b0b0b0")
     _add_legend(figure, trajectories, *axes.get_legend_handles_labels())
-    title = f"{len(names)} episodes from above"
+    title = _title(names, len(shown))
     if "sea_elevation" in trajectories:
-        title += "; the sea is that of the first, at its start"
-    axes.set_title(title, fontsize=12, color=style.INK, pad=10)
+        title += "\nThe sea is that of the first, at its start"
+    figure.suptitle(title, fontsize=12, color=style.INK)
     return figure
 
 
@@ -124,11 +136,7 @@ def _make_panels(trajectories: dict[str, np.ndarray]) -> Figure:
     labels = [f"{name} ({names[:shown].count(name)})" for name in order]
     handles.append(Line2D([], [], **_START))
     _add_legend(figure, trajectories, handles, [*labels, "start"])
-    title = f"{shown} episode{'s' * (shown > 1)} from above"
-    if shown < len(names):
-        counts = ", ".join(f"{names.count(name)} {name}" for name in _in_order(names))
-        title = f"The first {shown} of {len(names)} episodes from above (of all: {counts})"
-    figure.suptitle(title, fontsize=12, color=style.INK)
+    figure.suptitle(_title(names, shown), fontsize=12, color=style.INK)
     return figure
 
 
@@ -188,6 +196,42 @@ def _draw_paths(
             rings, facecolor=(1, 1, 1, 0.55), edgecolor=colour, linewidths=1.2, zorder=2
         )
     )
+
+
+def _draw_headings(
+    axes: Axes, trajectories: dict[str, np.ndarray], chosen: list[int], name: str
+) -> None:
+    """Mark where vessels are heading, every so often along their paths."""
+    marks = [
+        posed(_HEADING_MARK, position, float(heading))
+        for k in chosen
+        for position, heading in _poses_along(trajectories, k)
+    ]
+    colour = style.OUTCOME_COLOURS[name]
+    look: dict[str, Any] = {"facecolor": colour, "edgecolor": "white", "linewidths": 0.5}
+    axes.add_collection(PolyCollection(marks, zorder=3.5, **look))
+
+
+def _poses_along(
+    trajectories: dict[str, np.ndarray], episode: int
+) -> list[tuple[np.ndarray, float]]:
+    """Positions and headings of an episode, equally far apart along its path."""
+    last = int(trajectories["steps"][episode])
+    position = trajectories["position"][: last + 1, episode]
+    heading = trajectories["heading"][: last + 1, episode]
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(position, axis=0).T)))
+    places = np.arange(0.5 * _HEADING_EVERY_M, way[-1], _HEADING_EVERY_M)
+    steps = np.searchsorted(way, places).tolist()
+    poses = [(position[step], float(heading[step])) for step in dict.fromkeys(steps)]
+    return [pose for pose in poses if np.isfinite(pose[1])]
+
+
+def _title(names: list[str], shown: int) -> str:
+    """How many of the episodes with these outcomes are shown."""
+    if shown == len(names):
+        return f"{shown} episode{'s' * (shown > 1)} from above"
+    counts = ", ".join(f"{names.count(name)} {name}" for name in _in_order(names))
+    return f"The first {shown} of {len(names)} episodes from above (of all: {counts})"
 
 
 def _outcomes(trajectories: dict[str, np.ndarray]) -> list[str]:

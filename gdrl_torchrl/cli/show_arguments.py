@@ -71,12 +71,11 @@ def number_in(
     """
     text = values.get(name, str(usual))
     kind = type(usual)
+    what = "whole number" if kind is int else "number"
     try:
         value = kind(text)
-        is_right = least <= value <= most
     except ValueError:
-        is_right = False
-    if not is_right:
-        what = "whole number" if kind is int else "number"
+        value = None
+    if value is None or not least <= value <= most:
         raise ValueError(f"{name}={text} must be a {what} from {least} to {most}")
     return value

@@ -55,7 +55,12 @@ def _at(frame: np.ndarray, x: float, y: float) -> np.ndarray:
 def _vehicle(frame: np.ndarray) -> np.ndarray:
     """Pixels of the hull, (row, column), ``[N, 2]``."""
     red, green, blue = frame.astype(int).transpose(2, 0, 1)
-    return np.argwhere((red > 200) & (green > 150) & (blue < 90))
+    yellow = np.argwhere((red > 200) & (green > 150) & (blue < 90))
+    dark = np.argwhere(frame.max(axis=2) < 70)
+    # Its bow; the scale is dark as well, and elsewhere.
+    away = np.hypot(*(dark - yellow.mean(axis=0)).T)
+    span = np.hypot(*(yellow - yellow.mean(axis=0)).T).max()
+    return np.concatenate([yellow, dark[away < 2.0 * span]])
 
 
 def test_frame_is_two_panels_of_the_size_asked_for() -> None:
@@ -85,6 +90,37 @@ def test_bow_points_along_the_heading(heading: float) -> None:
     across = np.abs(offset @ [-np.sin(heading), np.cos(heading)])
     reach = np.abs(along).max()
     assert across[along > 0.6 * reach].max() < 0.8 * across[along < -0.6 * reach].max()
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])
+def test_bow_of_a_boat_is_dark_and_its_stern_is_not(heading: float) -> None:
+    close = _draw((1.0, 1.0), heading)[:, 160:]
+
+    # The panel's half height is 2 m, its middle is the boat.
+    ahead = np.array([np.cos(heading), -np.sin(heading)])
+    column, row = np.round([80, 60] + 12 * ahead).astype(int)
+    assert close[row, column].max() < 90
+    column, row = np.round([80, 60] - 12 * ahead).astype(int)
+    assert close[row, column].min() < 90 < 200 < close[row, column].max()
+
+
+@pytest.mark.parametrize(
+    ("position", "row", "column"),
+    [((-4.0, 0.0), 112, 80), ((-4.0, -6.0), 8, 80), ((4.0, -3.0), 60, 8)],
+)
+def test_a_goal_out_of_view_is_pointed_at_from_the_edge(
+    position: tuple[float, float], row: int, column: int
+) -> None:
+    def reddish(picture: np.ndarray) -> np.ndarray:
+        red, green, blue = picture.astype(int).transpose(2, 0, 1)
+        return np.argwhere((red > 180) & (green < 130) & (blue < 60))
+
+    far = reddish(_draw(position, 0.0)[:, 164:])
+    assert len(far) > 5
+    np.testing.assert_allclose(far.mean(axis=0), [row, column - 4], atol=6)
+    # In view there is the goal itself: its ring and its cross, in the middle.
+    near = reddish(_draw((-4.0, -2.5), 0.0)[:, 164:])
+    np.testing.assert_allclose(near.mean(axis=0), [75, 76], atol=2)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])

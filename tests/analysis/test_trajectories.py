@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
@@ -275,3 +275,33 @@ def _holds(outer: BboxBase, inner: BboxBase) -> bool:
     return outer.x0 <= inner.x0 < inner.x1 <= outer.x1 and (
         outer.y0 <= inner.y0 < inner.y1 <= outer.y1
     )
+
+
+def test_vessels_show_where_they_are_heading(trajectories: dict[str, np.ndarray]) -> None:
+    trajectories["heading"][:, 0] = np.pi  # it goes astern
+    axes = make_trajectories(trajectories).axes[0]
+
+    marks = [item for item in axes.collections if isinstance(item, PolyCollection)]
+    outlines = [path.vertices[:4] for item in marks for path in item.get_paths()]
+    # 4 m, 2 m and 1.4 m of way with a mark every 1.6 m, the first after 0.8 m.
+    assert len(outlines) == 2 + 1 + 1
+    astern, ahead = outlines[0], outlines[2]
+    assert astern[0, 0] < astern[1, 0]
+    assert ahead[0, 0] > ahead[1, 0]
+
+
+def test_of_many_vessels_few_are_drawn_and_all_are_counted(
+    trajectories: dict[str, np.ndarray],
+) -> None:
+    steps = trajectories["steps"]
+    for name in ("position", "heading", "action"):
+        trajectories[name] = np.concatenate(10 * [trajectories[name]], axis=1)
+    for name in ("goal", "outcome", "steps", "episode_seed"):
+        trajectories[name] = np.concatenate(10 * [trajectories[name]])
+    assert len(trajectories["steps"]) == 10 * len(steps)
+    figure = make_trajectories(trajectories)
+    paths = [c for c in figure.axes[0].collections if isinstance(c, LineCollection)]
+    assert sum(len(item.get_segments()) for item in paths) == 16
+    title = figure.get_suptitle().splitlines()[0]
+    said = "The first 16 of 30 episodes from above (of all: 20 success, 10 timeout)"
+    assert title == said

@@ -13,6 +13,7 @@ import gdrl_tasks
 from gdrl_tasks import make_task, task_names
 from gdrl_tasks.batch import BatchSimulation
 from gdrl_tasks.scenery import cast_fewer_shadows, without_scenery
+from gdrl_tasks.water.scenery import _place_chase_camera
 from gdrl_tasks.water.wake import Track, foam
 
 BOX = '<geom size="0.1" contype="{touches}" conaffinity="0" mass="{mass}"/>'
@@ -304,3 +305,42 @@ def test_a_vessel_that_was_put_somewhere_else_has_no_wake_yet(jump):
     track.note(*jump, 0.0)
 
     assert foam(track, x, y) is None
+
+
+@pytest.mark.parametrize("distance_m", [0.3, 0.7, 1.0, 1.4, 1.8, 2.2, 3.0, 8.0])
+def test_the_chase_camera_has_the_goal_in_view_wherever_it_is(distance_m):
+    environment = gdrl_tasks.load("water", random=0)
+    environment.reset()
+    model, data = environment.physics.model, environment.physics.data
+    camera = model.name2id("chase", "camera")
+    half_height = np.tan(0.5 * np.radians(model.cam_fovy[camera]))
+    for bearing in np.radians(np.arange(-180.0, 180.0, 15.0)):
+        away = distance_m * np.array([np.cos(bearing), np.sin(bearing)])
+        data.qpos[:7] = [2.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+        _place_chase_camera(model, data, data.qpos[:2] + away)
+        goal = np.append(data.qpos[:2] + away, 0.0)
+        right, up, back = data.cam_xmat[camera].reshape(3, 3).T @ (
+            goal - data.cam_xpos[camera]
+        )
+        assert back < 0.0
+        # Of a picture whose width is 4/3 of its height.
+        assert abs(right / back) < 4.0 / 3.0 * half_height, np.degrees(bearing)
+        assert abs(up / back) < half_height, np.degrees(bearing)
+
+
+@pytest.mark.render
+def test_from_above_the_bow_is_told_from_the_stern():
+    environment = gdrl_tasks.load("water", random=0)
+    environment.reset()
+    physics = environment.physics
+    physics.data.qpos[:7] = [0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]
+    environment.task.arrays["goal"][:] = [[4.0, 4.0]]
+    picture = physics.render(720, 960, camera_id="top").astype(int)
+    near = picture[330:390, 430:530]
+    white = np.argwhere(near.min(axis=2) > 170)
+    yellow = np.argwhere((near[..., 0] > 140) & (near[..., 2] < 90))
+    # Ahead is to the right, where there is white between the bows; none is astern.
+    stern, bow = yellow[:, 1].min(), yellow[:, 1].max()
+    places = (np.unique(white[:, 1]) - stern) / (bow - stern)
+    assert (places > 0.72).sum() >= 10
+    assert not (places < 0.1).any()

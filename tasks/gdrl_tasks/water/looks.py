@@ -240,7 +240,10 @@ def add_vessel(spec: mujoco.MjSpec, body: mujoco.MjsBody, hull: Hull) -> None:
     white = [0.12, 0.1, 0.06]
     add("case", _BOX, _WHITE, size=white, pos=[0.02, 0.0, deck + 0.07])
     add("lid", _BOX, _METAL, size=[0.125, 0.105, 0.008], pos=[0.02, 0.0, deck + 0.135])
-    add("bow_mark", _BOX, _WHITE, size=[0.025, 0.27, 0.013], pos=[0.25, 0.0, deck + 0.001])
+    vertices, faces = _arrow(0.34, 0.27, 0.026)
+    spec.add_mesh(name="bow_mark", uservert=vertices.ravel(), userface=faces.ravel())
+    place = [0.23, 0.0, deck - 0.012]
+    add("bow_mark", _MESH, _WHITE, meshname="bow_mark", pos=place)
     battery = [0.09, 0.18, 0.04]
     add(
         "battery",
@@ -282,6 +285,24 @@ def _add_thruster(add: Callable[..., None], side: str, place: list[float]) -> No
     add(f"{side}_hub", _SPHERE, _METAL, size=[0.017, 0.0, 0.0], pos=hub)
     motor = [x + 0.16, y, z + 0.155]
     add(f"{side}_motor", _BOX, _RED, size=[0.09, 0.06, 0.032], pos=motor)
+
+
+def _arrow(
+    length_m: float, half_width_m: float, height_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A flat wedge that points ahead, its lower edge at x = 0 and z = 0.
+
+    From afar and above nothing else of the vessel tells bow from stern.
+
+    Returns:
+        Points ``[V, 3]`` in metres, and triangles ``[F, 3]``.
+    """
+    outline = [[0.0, half_width_m], [0.0, -half_width_m], [length_m, 0.0]]
+    points = np.array([[x, y, z] for z in (0.0, height_m) for x, y in outline])
+    sides = [[i, j, j + 3, i + 3] for i, j in ((0, 1), (1, 2), (2, 0))]
+    faces = [[2, 1, 0], [3, 4, 5]]
+    faces += [[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides]
+    return points, np.array(faces)
 
 
 def _pontoon(
