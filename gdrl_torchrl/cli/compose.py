@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import functools
+import threading
 from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.version import VersionBase
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -21,6 +24,7 @@ from gdrl_torchrl.plugins import conf_packages
 
 CONFIG_MODULE = "gdrl_torchrl.conf"
 _PROVIDER = "gdrl_torchrl"
+_COMPOSING = threading.RLock()
 EXIT_SAVED = 75
 """Exit code of a command that a signal ended once it had saved: ``EX_TEMPFAIL`` of
 sysexits.h, try again. The same command goes on."""
@@ -82,9 +86,30 @@ def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:
         >>> load_experiment(["experiment=gppo_water", "seed=3"]).seed
         3
     """
+    return to_experiment(composed("config", overrides))
+
+
+def composed(name: str, overrides: list[str]) -> DictConfig:
+    """One of our configuration files with overrides.
+
+    An application that has set Hydra up for itself finds it as it was.
+
+    Raises:
+        HydraException: If there is no such file, or an override is not valid.
+        OmegaConfBaseException: If a value does not fit.
+    """
     register_configs()
-    with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
-        return to_experiment(compose("config", overrides=[*search_path(), *overrides]))
+    # Hydra has one configuration per process, whatever the threads.
+    with _COMPOSING:
+        others, version_base = GlobalHydra.instance().hydra, VersionBase.instance()
+        GlobalHydra.instance().clear()
+        VersionBase.set_instance(VersionBase())
+        try:
+            with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
+                return compose(name, overrides=[*search_path(), *overrides])
+        finally:
+            GlobalHydra.instance().hydra = others
+            VersionBase.set_instance(version_base)
 
 
 def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override, Transformer
 from hydra.errors import HydraException
@@ -25,13 +24,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from gdrl_torchrl.analysis.fields import RATE, read_object
-from gdrl_torchrl.cli.compose import (
-    CONFIG_MODULE,
-    EXIT_SAVED,
-    load_experiment,
-    register_configs,
-    search_path,
-)
+from gdrl_torchrl.cli.compose import EXIT_SAVED, composed, load_experiment
 from gdrl_torchrl.config.search import SearchConfig
 
 _logger = logging.getLogger(__name__)
@@ -55,10 +48,8 @@ def load_search(arguments: list[str]) -> SearchConfig:
         raise ValueError(_USAGE)
     others = [a for a in arguments if not a.startswith("+search=")]
     own = [a for a in others if a.startswith("search.")]
-    register_configs()
     try:
-        with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
-            config = compose(f"search/{named[0]}", overrides=[*search_path(), *own])
+        config = composed(f"search/{named[0]}", own)
         search = OmegaConf.to_object(config.search)
     except (HydraException, OmegaConfBaseException) as error:
         raise ValueError(f"{error}\n{_USAGE}") from error

@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import logging
 import sys
+from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -31,7 +34,7 @@ def _train(config: DictConfig) -> float:
     try:
         if in_sweep:
             check_launcher(hydra_config.launcher["_target_"])
-        return _run_job(config)
+        return _run_job(config, Path(hydra_config.runtime.cwd), in_sweep=in_sweep)
     except ValueError as error:
         if in_sweep:
             raise
@@ -52,8 +55,12 @@ def check_launcher(target: str) -> None:
         )
 
 
-def _run_job(config: DictConfig) -> float:
+def _run_job(config: DictConfig, started_in: Path, *, in_sweep: bool) -> float:
     experiment = to_experiment(config)
+    if Path.cwd() != started_in:
+        # With hydra.job.chdir, which must not lead runs elsewhere.
+        runs_dir = str(started_in / experiment.runs_dir)
+        experiment = dataclasses.replace(experiment, runs_dir=runs_dir)
     # Imported here so that --help is answered without them.
     from gdrl_torchrl.training.run import (
         InterruptedRunError,
@@ -70,8 +77,12 @@ def _run_job(config: DictConfig) -> float:
     try:
         path = run_experiment(experiment)
     except InterruptedRunError as stop:
-        # Not an error of this job: it ends a sweep too.
-        print(stop, file=sys.stderr)
+        if in_sweep and stop.__cause__ is not None:
+            # Of a job system: its launcher tells who waits for the job.
+            raise ValueError(str(stop)) from stop
+        # Not an error of this job: it ends a sweep too. The terminal may be gone.
+        with contextlib.suppress(OSError):
+            print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
     except (RunDirectoryError, TrainingDivergedError, WorkerDiedError) as error:
         raise ValueError(str(error)) from error

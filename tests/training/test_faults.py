@@ -199,8 +199,10 @@ def task_that_gives(monkeypatch):
     return gives
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("field", ["reward", "observation"])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("reward", np.nan), ("reward", -np.inf), ("observation", np.nan)],
+)
 def test_a_task_that_gives_no_number_is_named_before_anything_is_learnt_from_it(
     field, value, tiny_of_each, tmp_path, task_that_gives, monkeypatch, evaluation_of
 ):
