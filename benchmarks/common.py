@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import platform
 import statistics
 import time
@@ -13,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from gdrl_tasks.processors import allowed_processors
 from gdrl_torchrl.analysis.run_table import find_runs
 
 
@@ -56,7 +56,7 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
 def finish(results: dict[str, Any]) -> None:
     """Print the last line: results and the machine they were found on."""
     machine = {
-        "processors": os.cpu_count(),
+        "processors": allowed_processors(),
         "machine": platform.machine(),
         "python": platform.python_version(),
     }

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import functools
+import threading
 from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.version import VersionBase
 from omegaconf import DictConfig, OmegaConf
 
 from gdrl_tasks import task_names
@@ -21,6 +24,7 @@ from gdrl_torchrl.config.toy import as_toy
 from gdrl_torchrl.plugins import conf_packages
 
 _PROVIDER = "gdrl_torchrl"
+_COMPOSING = threading.RLock()
 EXIT_SAVED = 75
 """Exit code of a command that a signal ended once it had saved: ``EX_TEMPFAIL`` of
 sysexits.h, try again. The same command goes on."""
@@ -81,12 +85,32 @@ def load_experiment(overrides: list[str]) -> schema.ExperimentConfig:
         >>> load_experiment(["experiment=gppo_water", "seed=3"]).seed
         3
     """
+    return to_experiment(composed("config", overrides))
+
+
+def composed(name: str, overrides: list[str]) -> DictConfig:
+    """One of our configuration files with overrides.
+
+    An application that has set Hydra up for itself finds it as it was.
+
+    Raises:
+        ValueError: If there is no such file, or an override is not valid.
+    """
     register_configs()
-    with (
-        explained(overrides),
-        initialize_config_module(CONFIG_MODULE, version_base="1.3"),
-    ):
-        return to_experiment(compose("config", overrides=[*search_path(), *overrides]))
+    # Hydra has one configuration per process, whatever the threads.
+    with _COMPOSING:
+        others, version_base = GlobalHydra.instance().hydra, VersionBase.instance()
+        GlobalHydra.instance().clear()
+        VersionBase.set_instance(VersionBase())
+        try:
+            with (
+                explained(overrides),
+                initialize_config_module(CONFIG_MODULE, version_base="1.3"),
+            ):
+                return compose(name, overrides=[*search_path(), *overrides])
+        finally:
+            GlobalHydra.instance().hydra = others
+            VersionBase.set_instance(version_base)
 
 
 def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:

@@ -18,21 +18,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override, Transformer
 from omegaconf import OmegaConf
 
 from gdrl_torchrl.analysis.fields import RATE, read_object
 from gdrl_torchrl.cli.arguments import CommandParser, fail
-from gdrl_torchrl.cli.compose import (
-    EXIT_SAVED,
-    load_experiment,
-    register_configs,
-    search_path,
-)
+from gdrl_torchrl.cli.compose import EXIT_SAVED, composed, load_experiment
 from gdrl_torchrl.cli.errors import check_known, explained, not_among
-from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in, sentence_of
+from gdrl_torchrl.cli.names import names_in, sentence_of
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
@@ -69,10 +63,8 @@ def load_search(arguments: list[str]) -> SearchConfig:
         raise ValueError(not_among("+search", names[0], names_in("search")))
     others = [a for a in arguments if a not in named]
     own = [a for a in others if a.lstrip("+~").startswith("search.")]
-    register_configs()
+    config = composed(f"search/{names[0]}", own)
     with explained(own):
-        with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
-            config = compose(f"search/{names[0]}", overrides=[*search_path(), *own])
         check_known(config)
         search = OmegaConf.to_object(config.search)
     assert isinstance(search, SearchConfig)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import logging
 import math
 import os
@@ -62,7 +64,9 @@ def _train(config: DictConfig) -> float:
         check_known_to_hydra(hydra_config)
         if in_sweep:
             check_launcher(hydra_config.launcher["_target_"])
-        path = _run_job(config, hydra_config.overrides.task, in_sweep=in_sweep)
+        started_in = Path(hydra_config.runtime.cwd)
+        overrides = hydra_config.overrides.task
+        path = _run_job(config, overrides, started_in, in_sweep=in_sweep)
         sweep.note(path)
         return float(read_evaluation(path)["success_rate"]) if path else math.nan
     except ValueError as error:
@@ -89,7 +93,7 @@ def check_launcher(target: str) -> None:
 
 
 def _run_job(
-    config: DictConfig, overrides: Sequence[str], *, in_sweep: bool
+    config: DictConfig, overrides: Sequence[str], started_in: Path, *, in_sweep: bool
 ) -> Path | None:
     """The run directory; None if another process runs it, which a sweep passes over."""
     experiment = to_experiment(config)
@@ -97,6 +101,10 @@ def _run_job(
         logging.getLogger(name).setLevel(logging.WARNING)
     # What is wrong is said before torch is imported, which takes seconds.
     make_task_of(experiment)
+    if Path.cwd() != started_in:
+        # With hydra.job.chdir, which must not lead runs elsewhere.
+        runs_dir = str(started_in / experiment.runs_dir)
+        experiment = dataclasses.replace(experiment, runs_dir=runs_dir)
     from gdrl_torchrl.training.run import (
         InterruptedRunError,
         TrainingDivergedError,
@@ -111,8 +119,12 @@ def _run_job(
     try:
         return run_experiment(experiment, overrides)
     except InterruptedRunError as stop:
-        # Not an error of this job: it ends a sweep too.
-        print(stop, file=sys.stderr)
+        if in_sweep and stop.__cause__ is not None:
+            # Of a job system: its launcher tells who waits for the job.
+            raise
+        # Not an error of this job: it ends a sweep too. The terminal may be gone.
+        with contextlib.suppress(OSError):
+            print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
     except RunInUseError as error:
         if not in_sweep:

@@ -115,7 +115,7 @@ class SimulationConfig:
     """How the simulation runs; results do not depend on it."""
 
     num_threads: int = within(0, least=0, most=1024)
-    """Threads of the simulation; 0 takes one per processor."""
+    """Threads of the simulation; 0 takes one per allowed processor."""
 
     def __post_init__(self) -> None:
         check_fields(self, "simulation")

@@ -64,6 +64,7 @@ def make_prioritized_buffer(
 
     Raises:
         ValueError: If a value is out of range.
+        OSError: If there is no shared memory, in which TorchRL keeps a buffer's counters.
 
     Examples:
         >>> buffer = make_prioritized_buffer(
@@ -79,16 +80,22 @@ def make_prioritized_buffer(
     if eps <= 0.0:
         raise ValueError(f"eps must be positive: {eps}")
     kind = BatchWeightSampler if weights_relative_to_batch else PrioritizedSampler
-    # The wheels of TorchRL have segment trees for the CPU only.
-    sampler = kind(capacity, alpha=alpha, beta=beta, eps=eps, device="cpu")
-    return TensorDictReplayBuffer(
-        storage=LazyTensorStorage(capacity),
-        sampler=sampler,
-        batch_size=batch_size,
-        priority_key="td_error",
-        # Without one the sampler draws from NumPy's global state.
-        generator=torch.Generator().manual_seed(seed),
-    )
+    try:
+        return TensorDictReplayBuffer(
+            storage=LazyTensorStorage(capacity),
+            # The wheels of TorchRL have segment trees for the CPU only.
+            sampler=kind(capacity, alpha=alpha, beta=beta, eps=eps, device="cpu"),
+            batch_size=batch_size,
+            priority_key="td_error",
+            # Without one the sampler draws from NumPy's global state.
+            generator=torch.Generator().manual_seed(seed),
+        )
+    except OSError as error:
+        # No error number: it is none of the disk that runs are on.
+        raise OSError(
+            f"a replay buffer needs shared memory, and /dev/shm cannot be used ({error}): "
+            "mount it, in a container with --shm-size=64m or more"
+        ) from error
 
 
 def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:

@@ -34,7 +34,7 @@ def make_env(
         backend: ``batch`` steps all worlds on ``mujoco.batch``; ``dm_control`` runs
             that many dm_control environments in this process, one after another.
         num_threads: Simulation threads of the ``batch`` backend; 0 takes one per
-            processor.
+            allowed processor.
         seed: Seed of the episodes; None takes another one every time.
         on_divergence: See :data:`OnDivergence`.
 

@@ -32,7 +32,7 @@ class NavigationEnv(EnvBase):
     Args:
         task: The task.
         num_worlds: Number of worlds ``W``.
-        num_threads: Simulation threads; 0 takes one per processor.
+        num_threads: Simulation threads; 0 takes one per allowed processor.
         seed: Seed of the episodes that begin without a given seed; None takes another
             one every time (``env.simulation.seed``).
 

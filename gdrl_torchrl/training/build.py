@@ -20,6 +20,7 @@ from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.training.agent import Agent, Algorithm
 from gdrl_torchrl.training.collect_ahead import AheadCollector
 from gdrl_torchrl.training.evolve import make_population_hook
+from gdrl_torchrl.training.finite_batches import check_batch
 from gdrl_torchrl.training.genetic_algorithm import make_ga_actor, make_ga_agent
 from gdrl_torchrl.training.population_hook import PopulationHook
 from gdrl_torchrl.training.ppo import make_ppo_actor, make_ppo_agent
@@ -83,6 +84,7 @@ def build_training(
     genetic = make_population_hook(
         config, task, agent, algorithm.make_actor, on_divergence=on_divergence
     )
+    agent.trainer.register_op("batch_process", check_batch)
     genetic.register(agent.trainer)
     return Training(task, agent, genetic)
 

@@ -16,6 +16,7 @@ from torchrl.collectors import Collector
 from gdrl_tasks.divergence import DivergedWorld
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.training.finite_batches import check_batch
 from gdrl_torchrl.training.worker import ForkedWorker, LocalWorker
 
 MakeCollector = Callable[[], Collector]
@@ -43,6 +44,7 @@ class AheadCollector:
 
     Raises:
         WorkerDiedError: From its methods, if the process is gone.
+        NonFiniteBatchError: From them, if an observation or a reward is not finite.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -92,8 +94,7 @@ class AheadCollector:
         assert batch is not None
         self._batch = None
         self._begin()
-        shape = batch["next"][keys.REWARD].shape[:-1]
-        return TensorDict(_tensors(batch), batch_size=shape)
+        return _tensordict(batch)
 
     def watch(self, on_divergence: Callable[[DivergedWorld], object]) -> None:
         """Call a function with every world that diverges, when its batch has come."""
@@ -124,10 +125,17 @@ class AheadCollector:
         self._is_begun = True
 
     def _waited_for(self) -> dict[str, Any] | None:
-        """The batch that is ahead; None if none was begun."""
+        """The batch that is ahead; None if none was begun.
+
+        Raises:
+            NonFiniteBatchError: If it has a number that is none, before it gets into a
+                state.
+        """
         if self._is_begun:
             self._is_begun = False
-            self._batch, diverged = self._worker.end()
+            batch, diverged = self._worker.end()
+            check_batch(_tensordict(batch))
+            self._batch = batch
             if self._on_divergence is not None:
                 for world in diverged:
                     self._on_divergence(world)
@@ -199,6 +207,11 @@ def _arrays(batch: TensorDictBase) -> dict[str, Any]:
         str(name): _arrays(x) if isinstance(x, TensorDictBase) else x.numpy()
         for name, x in batch.items()
     }
+
+
+def _tensordict(batch: dict[str, Any]) -> TensorDict:
+    shape = batch["next"][keys.REWARD].shape[:-1]
+    return TensorDict(_tensors(batch), batch_size=shape)
 
 
 def _tensors(arrays: dict[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import torch
 
 from gdrl_tasks.divergence import DivergedWorld
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.training.finite_batches import NonFiniteBatchError
 from gdrl_torchrl.training.state_file import write_state
 from gdrl_torchrl.training.update import NonFiniteUpdateError
 
@@ -50,8 +51,12 @@ class FaultFiles:
             f": gdrl-replay {path}" if path else "",
         )
 
-    def note_update(self, error: NonFiniteUpdateError) -> Path | None:
-        """Keep the minibatch of an update; the file, if there was room for it."""
+    def note_update(self, error: NonFiniteUpdateError | NonFiniteBatchError) -> Path | None:
+        """Keep the minibatch of an update, or a world's steps of a batch that made none.
+
+        Returns:
+            The file, if there was room for it.
+        """
         entries = error.batch.items(include_nested=True, leaves_only=True)
         batch = {_dotted(name): value for name, value in entries}
         content = {"kind": "update", "not_finite": error.names, "batch": batch}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import warnings
 from typing import Any
 
@@ -17,6 +16,7 @@ from torchrl.trainers import Trainer
 from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
+from gdrl_tasks.processors import allowed_processors
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.algorithms import RainbowConfig
 from gdrl_torchrl.config.relations import check_fit
@@ -291,5 +291,5 @@ def _make_collector(
         policy,
         seed=config.seed + _OTHER_DRAWS,
         # On one processor the two sides would only take turns.
-        in_process=len(os.sched_getaffinity(0)) > 1,
+        in_process=allowed_processors() > 1,
     )

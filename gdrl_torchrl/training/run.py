@@ -33,6 +33,7 @@ from gdrl_torchrl.training.evaluate import (
     save_policy,
 )
 from gdrl_torchrl.training.faults import FaultFiles
+from gdrl_torchrl.training.finite_batches import NonFiniteBatchError
 from gdrl_torchrl.training.monitor import RunMonitor, columns_of, is_spent
 from gdrl_torchrl.training.provenance import RUN_VERSION, code_version
 from gdrl_torchrl.training.run_directory import (
@@ -90,24 +91,26 @@ class InterruptedRunError(RuntimeError):
 
 
 class TrainingDivergedError(RuntimeError):
-    """A loss, a gradient or a parameter was not finite, and training was ended there.
+    """What the task gave, or a loss, gradient or parameter, was not finite; that ended it.
 
     Attributes:
         path: The run directory.
-        batch: File with the minibatch, if one was written.
+        batch: File with the minibatch, or a world's steps of a batch, if one was written.
         checkpoint: The last checkpoint, from before; None if there was none yet.
     """
 
     def __init__(
-        self, error: NonFiniteUpdateError, directory: RunDirectory, batch: Path | None
+        self,
+        error: NonFiniteUpdateError | NonFiniteBatchError,
+        directory: RunDirectory,
+        batch: Path | None,
     ) -> None:
         saved = sorted(directory.checkpoints.glob("checkpoint-*"))
         self.path, self.batch = directory.path, batch
         self.checkpoint = saved[-1] if saved else None
         super().__init__(
-            f"{directory.path}: {error}; minibatch: {batch or 'not kept'}; last good "
-            f"checkpoint: {self.checkpoint or 'none yet'}. The same command goes on from "
-            "there; faults.on_non_finite_update=skip makes no such updates"
+            f"{directory.path}: {error}; its batch: {batch or 'not kept'}; last good "
+            f"checkpoint: {self.checkpoint or 'none yet'}. {error.advice}"
         )
 
 
@@ -221,7 +224,7 @@ def _run(
         costs = _train(directory, config, training, faults, signals)
         with signals.ending_at_once():
             _report(directory, config, training, faults, costs)
-    except NonFiniteUpdateError as error:
+    except (NonFiniteUpdateError, NonFiniteBatchError) as error:
         batch = faults.note_update(error)
         raise TrainingDivergedError(error, directory, batch) from error
     except WorkerDiedError as error:

@@ -26,6 +26,11 @@ class NonFiniteUpdateError(RuntimeError):
         batch: The minibatch ``[B]``.
     """
 
+    advice = (
+        "The same command goes on from there; faults.on_non_finite_update=skip makes no "
+        "such updates"
+    )
+
     def __init__(self, names: list[str], batch: TensorDictBase) -> None:
         super().__init__(f"not finite in an update: {', '.join(names)}")
         self.names = names

@@ -49,7 +49,7 @@ def record_trajectories(
         task: The task.
         act: The policy. It is given the worlds whose episode goes on, in order.
         seeds: Episode seeds ``[K]``.
-        num_threads: Threads of the simulation; 0 takes one per processor.
+        num_threads: Threads of the simulation; 0 takes one per allowed processor.
         scans: Whether to keep what a lidar reported.
 
     Returns:

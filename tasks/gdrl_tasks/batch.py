@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from gdrl_tasks.divergence import DivergedWorld, StateMemory
 from gdrl_tasks.engines.quiet import quiet_engine
 from gdrl_tasks.kernels import are_rows, rows_are_sane
 from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.processors import allowed_processors
 from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
 from gdrl_tasks.shard import Shard
 from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
@@ -50,7 +50,7 @@ class BatchSimulation:
     Args:
         task: The task.
         num_worlds: Number of worlds ``W``.
-        num_threads: Threads of the simulation; 0 takes one per processor.
+        num_threads: Threads of the simulation; 0 takes one per allowed processor.
         seed: Seed of the episodes that :meth:`reset` draws when it is given none; None
             takes another one every time.
 
@@ -89,7 +89,7 @@ class BatchSimulation:
                 raise ValueError(f"{name}={value!r} must be an integer >= {least}")
         self.task = task
         self.num_worlds = num_worlds
-        self.num_threads = num_threads or os.cpu_count() or 1
+        self.num_threads = num_threads or allowed_processors()
         self.seed = seed
         self.num_episodes_begun = 0
         self.model = task.engine_model()

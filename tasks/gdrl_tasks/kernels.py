@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from gdrl_tasks.compiled import compiled
 from gdrl_tasks.navigation import Outcome
 
 _SUCCESS = int(Outcome.SUCCESS)
@@ -24,7 +24,7 @@ LARGEST_STATE = 1e6
 """A larger number in a state, or what is not a number, is not to be believed."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def all_sane(qpos: np.ndarray, qvel: np.ndarray) -> bool:
     """Whether every state is to be believed, of one world or of many."""
     for values in (qpos, qvel):
@@ -35,7 +35,7 @@ def all_sane(qpos: np.ndarray, qvel: np.ndarray) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def all_choices(action: np.ndarray, count: int) -> bool:
     """Whether integers ``[K]`` are in [0, count)."""
     for value in action:  # noqa: SIM110 - all() of a generator is slow to compile
@@ -44,7 +44,7 @@ def all_choices(action: np.ndarray, count: int) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def are_rows(ids: np.ndarray, count: int) -> bool:
     """Whether ``ids`` ``[K]`` are rows of ``count`` in ascending order, each once."""
     last = -1
@@ -55,7 +55,7 @@ def are_rows(ids: np.ndarray, count: int) -> bool:
     return last < count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def rows_are_sane(ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """Mask of worlds ``ids`` ``[K]`` whose state ``[W, N]`` is to be believed, ``[K]``."""
     sane = np.ones(len(ids), dtype=np.bool_)
@@ -67,7 +67,7 @@ def rows_are_sane(ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.nda
     return sane
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def newly_warned(
     ids: np.ndarray, warnings: np.ndarray, kinds: np.ndarray, known: np.ndarray
 ) -> np.ndarray:
@@ -86,7 +86,7 @@ def newly_warned(
     return warned
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clip_rows(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
     """Bound rows ``[K, D]`` in place by ``low`` and ``high`` ``[D]``."""
     for row in values:
@@ -94,7 +94,7 @@ def clip_rows(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
             row[d] = min(max(row[d], low[d]), high[d])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def free_body_pose(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``[K, 2]`` and headings ``[K]`` of bodies whose free joint is first."""
     count = len(qpos)
@@ -106,7 +106,7 @@ def free_body_pose(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return position, yaw
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def upside_down(qpos: np.ndarray) -> np.ndarray:
     """Mask of bodies, their free joint first, whose own z axis points down, ``[K]``."""
     down = np.empty(len(qpos), dtype=np.bool_)
@@ -115,7 +115,7 @@ def upside_down(qpos: np.ndarray) -> np.ndarray:
     return down
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def observe_goal(
     ids: np.ndarray,
     position: np.ndarray,
@@ -134,7 +134,7 @@ def observe_goal(
         out[k, 1] = (bearing - turn * math.floor(bearing / turn + 0.5)) / math.pi
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def finish(
     ids: np.ndarray,
     now: np.ndarray,

@@ -154,7 +154,7 @@ def simulate(
     Args:
         name: One of :func:`task_names`.
         num_worlds: Number of worlds.
-        num_threads: Threads; 0 takes one per processor.
+        num_threads: Threads; 0 takes one per allowed processor.
         seed: Seed of the episodes drawn by ``reset()``; None takes another one every time
             (it is the ``seed`` of what is returned).
         **options: Options of the task.

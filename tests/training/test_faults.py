@@ -181,6 +181,50 @@ def test_a_skipped_update_changes_nothing(tiny_rainbow, broken_at):
     training.close()
 
 
+@pytest.fixture
+def task_that_gives(monkeypatch):
+    """Makes a task give a number that is none, to the last world, from a row on."""
+
+    def gives(field, value, steps):
+        step, count = BatchSimulation.step, itertools.count(1)
+
+        def step_and_spoil(worlds, *arguments):
+            result = step(worlds, *arguments)
+            if worlds.num_worlds == 4 and next(count) > steps:
+                getattr(result, field)[-1] = value
+            return result
+
+        monkeypatch.setattr(BatchSimulation, "step", step_and_spoil)
+
+    return gives
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("reward", np.nan), ("reward", -np.inf), ("observation", np.nan)],
+)
+def test_a_task_that_gives_no_number_is_named_before_anything_is_learnt_from_it(
+    field, value, tiny_of_each, tmp_path, task_that_gives, monkeypatch, evaluation_of
+):
+    whole = run_experiment(tiny_of_each(f"runs_dir={tmp_path / 'whole'}"))
+    config = tiny_of_each(EVERY, f"runs_dir={tmp_path / 'runs'}")
+    task_that_gives(field, value, 25)
+    with pytest.raises(TrainingDivergedError) as stop:
+        run_experiment(config)
+    said = str(stop.value)
+    assert f"{field}={value} of world 3, in its step " in said
+    assert "must be finite" in said
+    assert "episode_seed=" in said
+    # The task is mended; figures are drawn from now on.
+    monkeypatch.undo()
+    told = replay(stop.value.batch, [])
+    assert told["kind"] == "update"
+    assert any(field in name for name in told["numbers_not_finite"])
+    assert run_experiment(config) == stop.value.path
+    mine, other = evaluation_of(stop.value.path), evaluation_of(whole)
+    assert mine["params_sha256"] == other["params_sha256"]
+
+
 def test_worlds_that_diverge_are_counted_and_some_can_be_replayed(
     tiny_of_each, injured_at, capsys, monkeypatch
 ):

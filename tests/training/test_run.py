@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import resource
+import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
@@ -280,23 +282,52 @@ def test_pictures_that_cannot_be_made_do_not_fail_a_run(part, tiny, monkeypatch,
     assert "the run is complete without it" in said
 
 
-@pytest.mark.parametrize(
-    ("number", "advice"),
-    [
-        (errno.EFBIG, "ulimit -f"),
-        (errno.EMFILE, "ulimit -n"),
-        (errno.ENOENT, "removed"),
-        (errno.ESTALE, "taken away"),
-        (errno.ENOMEM, "Cannot allocate memory"),
-    ],
-)
-def test_errors_of_the_system_are_named(number, advice, tiny, tmp_path, monkeypatch):
-    def append(self, row):
-        raise OSError(number, os.strerror(number))
+def no_more_files():
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, most))
 
-    monkeypatch.setattr(MetricsTable, "append", append)
-    with pytest.raises(RunDirectoryError, match=advice) as refused:
-        run_experiment(tiny())
+
+def no_large_files():
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
+
+
+@pytest.mark.parametrize(
+    ("happens", "number", "advice"),
+    [
+        (no_large_files, errno.EFBIG, "ulimit -f"),
+        (no_more_files, errno.EMFILE, "ulimit -n"),
+        ("removed", errno.ENOENT, "was something removed"),
+        (None, errno.ESTALE, "a disk taken away"),
+        (None, errno.ENOMEM, "Cannot allocate memory"),
+    ],
+    ids=["large", "files", "removed", "stale", "memory"],
+)
+def test_errors_of_the_system_are_named(
+    happens, number, advice, tiny, tmp_path, monkeypatch
+):
+    """Real ones where they can be had."""
+    append = MetricsTable.append
+
+    def append_and_break(self, row):
+        if happens is None:
+            raise OSError(number, os.strerror(number))
+        append(self, row)
+        if happens == "removed":
+            shutil.rmtree(self.path.parent)
+        else:
+            happens()
+
+    limits = {
+        r: resource.getrlimit(r) for r in (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE)
+    }
+    monkeypatch.setattr(MetricsTable, "append", append_and_break)
+    try:
+        with pytest.raises(RunDirectoryError, match=advice) as refused:
+            run_experiment(tiny("checkpoint.interval_s=0"))
+    finally:
+        for which, limit in limits.items():
+            resource.setrlimit(which, limit)
     assert str(tmp_path) in str(refused.value)
     assert os.strerror(number) in str(refused.value)
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from gdrl_tasks.compiled import compiled
 
 _TINY = 1e-300
 """In place of a slope of 0: a beam along a side crosses it infinitely far away."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clearances(
     points: np.ndarray,
     layouts: np.ndarray,
@@ -46,7 +47,7 @@ def clearances(
     return nearest
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clearances_on_grid(
     x: np.ndarray,
     y: np.ndarray,
@@ -82,7 +83,7 @@ def clearances_on_grid(
     return nearest
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def ahead_of(position: np.ndarray, yaw: np.ndarray, distance: float) -> np.ndarray:
     """Points ahead of (if negative, behind) positions ``[K, 2]``, ``[K, 2]``."""
     points = np.empty((len(yaw), 2))
@@ -92,7 +93,7 @@ def ahead_of(position: np.ndarray, yaw: np.ndarray, distance: float) -> np.ndarr
     return points
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clearances_ahead(
     position: np.ndarray,
     yaw: np.ndarray,
@@ -107,7 +108,7 @@ def clearances_ahead(
     return clearances(points, layouts, places, is_box, half_size)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def scan_ahead(
     position: np.ndarray,
     yaw: np.ndarray,
@@ -124,7 +125,7 @@ def scan_ahead(
     return scan(origins, yaw, beams, layouts, places, is_box, half_size, limits)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def scan(
     origins: np.ndarray,
     yaw: np.ndarray,
@@ -160,7 +161,7 @@ def scan(
     return ranges
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _to_circle(
     start: tuple[float, float],
     heading: tuple[float, float],
@@ -181,7 +182,7 @@ def _to_circle(
             ranges[b] = min(ranges[b], towards - math.sqrt(squared))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _to_box(
     start: tuple[float, float],
     heading: tuple[float, float],

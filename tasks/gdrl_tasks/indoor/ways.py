@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from gdrl_tasks.compiled import compiled
 
 _SLOPES = 256
 """Directions that are told apart behind each of the four sides of a square."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
     """How far :func:`goal_in_sight` may go on without a look, for each cell ``[R, C]``.
 
@@ -32,7 +33,7 @@ def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
     return looks
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def goal_in_sight(
     looks: np.ndarray,
     row: int,
@@ -70,7 +71,7 @@ def goal_in_sight(
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fast_sweep(
     looks: np.ndarray,
     speed: np.ndarray,
@@ -120,7 +121,7 @@ def fast_sweep(
     return arrival[1:-1, 1:-1].copy()
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _rows_within(away: np.ndarray, reach: float) -> tuple[int, int]:
     """First and last of the rows whose distances ``[R]``, in order, are in reach."""
     first, last = 0, len(away) - 1
@@ -131,7 +132,7 @@ def _rows_within(away: np.ndarray, reach: float) -> tuple[int, int]:
     return first, last
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _make_neighbours_due(due: np.ndarray, is_open: np.ndarray, r: int, c: int) -> None:
     due[r - 1, c] |= is_open[r - 1, c]
     due[r + 1, c] |= is_open[r + 1, c]
@@ -139,7 +140,7 @@ def _make_neighbours_due(due: np.ndarray, is_open: np.ndarray, r: int, c: int) -
     due[r, c + 1] |= is_open[r, c + 1]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _arrive_straight(
     looks: np.ndarray,
     speed: np.ndarray,
@@ -181,7 +182,7 @@ def _arrive_straight(
                 is_open[r + 1, c + 1] = 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _direction(y: float, x: float) -> tuple[int, int, float]:
     """The side of a square around the goal that a cell is behind, where, how far."""
     if abs(x) >= abs(y):
@@ -192,7 +193,7 @@ def _direction(y: float, x: float) -> tuple[int, int, float]:
     return face, min(slope, _SLOPES - 1), along
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def horizons(
     looks: np.ndarray,
     rows_away: np.ndarray,
@@ -239,7 +240,7 @@ def horizons(
     return hidden, clear
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _hide(
     face: int, along: float, across: float, hidden: np.ndarray, clear: np.ndarray
 ) -> None:
@@ -264,7 +265,7 @@ def _hide(
         hidden[face, n] = min(hidden[face, n], along + 0.75)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _arrival_from_neighbours(arrival: np.ndarray, r: int, c: int, step: float) -> float:
     """Time of a cell from the earlier ones at its sides, a step apart."""
     a = min(arrival[r, c + 1], arrival[r + 2, c + 1])

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from gdrl_tasks.compiled import compiled
 from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, Hull
 from gdrl_tasks.water.waves import SEA_FIELDS
 
@@ -73,7 +73,7 @@ def sea_arrays(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(arrays[name] for name in SEA_FIELDS)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sines(angle, cosine, sine):  # pragma: no cover - compiled
     """Write cosines and sines of angles below 1e6 radians, all ``[N]``.
 
@@ -112,7 +112,7 @@ def sines(angle, cosine, sine):  # pragma: no cover - compiled
         sine[i] = -second if (behind or quarter == -1.0) else second
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def substep(
     ids,
     qpos,
