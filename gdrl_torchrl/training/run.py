@@ -16,11 +16,13 @@ from torchrl.record.loggers import Logger
 
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.genome import install
+from gdrl_torchrl.safe_files import own_folder
 from gdrl_torchrl.training.build import Training, build_training, make_task_of
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
     flush_to_disk,
+    saved_checkpoints,
     seed_everything,
 )
 from gdrl_torchrl.training.evaluate import (
@@ -53,7 +55,8 @@ _TRAJECTORIES_DRAWN = 60
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _OF_THE_DISK = (
     *_FULL,
-    *(errno.EACCES, errno.EIO, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR),
+    *(errno.EACCES, errno.EIO, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG),
+    errno.ENOTDIR,
     *(errno.EPERM, errno.EROFS),
 )
 
@@ -86,7 +89,7 @@ class TrainingDivergedError(RuntimeError):
     def __init__(
         self, error: NonFiniteUpdateError, directory: RunDirectory, batch: Path | None
     ) -> None:
-        saved = sorted(directory.checkpoints.glob("checkpoint-*"))
+        saved = saved_checkpoints(directory.checkpoints)
         self.path, self.batch = directory.path, batch
         self.checkpoint = saved[-1] if saved else None
         super().__init__(
@@ -156,6 +159,11 @@ def _disk_errors_named(path: Path) -> Iterator[None]:
                 "command goes on from them"
             )
         raise RunDirectoryError(f"{path}: {error}{advice}") from error
+    except MemoryError as error:
+        raise RunDirectoryError(
+            f"{path}: there is not enough memory ({error or 'for what came next'}); "
+            "checkpoints that were saved are whole: the same command goes on from them"
+        ) from error
 
 
 def _run(directory: RunDirectory, config: ExperimentConfig) -> dict[str, Any]:
@@ -294,5 +302,6 @@ def _report(
     draw_trajectories(directory.path)
     if config.logger.video_episodes:
         video = directory.path / "videos" / "episodes.mp4"
+        own_folder(video.parent)
         how = write_video(task, act, seeds[: config.logger.video_episodes], video)
         _logger.info("video %s: %s", how, video)

@@ -7,6 +7,8 @@ from pathlib import Path
 from torch.utils.tensorboard.writer import SummaryWriter
 from torchrl.record.loggers.tensorboard import TensorboardLogger
 
+from gdrl_torchrl.safe_files import own_folder
+
 
 class ResumedTensorboardLogger(TensorboardLogger):
     """TorchRL's logger; what an earlier start logged after a step is no longer shown.
@@ -21,5 +23,5 @@ class ResumedTensorboardLogger(TensorboardLogger):
         super().__init__("tensorboard", log_dir=str(run_dir))
 
     def _create_experiment(self) -> SummaryWriter:
-        folder = Path(self.log_dir) / self.exp_name
+        folder = own_folder(Path(self.log_dir) / self.exp_name)
         return SummaryWriter(str(folder), purge_step=self._first_step)
