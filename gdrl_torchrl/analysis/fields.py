@@ -11,7 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-_MOST_BYTES = 2**31
+from gdrl_torchrl.safe_files import read_content
+
+_MOST_BYTES = 2**28
+"""Of a text: a table of a million rows has half of that."""
+_MOST_BYTES_OF_OBJECT = 2**24
 _MOST_LEVELS = 32
 """Of lists and objects in each other; what a run writes has less than ten."""
 
@@ -62,27 +66,7 @@ DIGEST = Kind(
 )
 
 
-def read_content(path: Path) -> bytes:
-    """Read a file.
-
-    Raises:
-        FileNotFoundError: If there is none.
-        ValueError: If it is not a file that can be read.
-    """
-    try:
-        if path.exists() and not path.is_file():
-            # To read a pipe would take for ever.
-            raise ValueError(f"{path} is not a file")
-        if path.stat().st_size > _MOST_BYTES:
-            raise ValueError(f"{path} has more than {_MOST_BYTES} bytes")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
-
-
-def read_text(path: Path) -> str:
+def read_text(path: Path, most_bytes: int = _MOST_BYTES) -> str:
     """Read a file of text.
 
     Raises:
@@ -90,7 +74,7 @@ def read_text(path: Path) -> str:
         ValueError: If it is not a file of text in UTF-8.
     """
     try:
-        return read_content(path).decode()
+        return read_content(path, most_bytes).decode()
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is not text in UTF-8: {error}") from error
 
@@ -111,7 +95,7 @@ def read_object(
         FileNotFoundError: If there is no such file.
         ValueError: If it is not JSON, or a field is missing or not what it must be.
     """
-    text = read_text(path)
+    text = read_text(path, _MOST_BYTES_OF_OBJECT)
     try:
         content = json.loads(text, object_pairs_hook=_without_twins)
         if _has_levels(content, _MOST_LEVELS):

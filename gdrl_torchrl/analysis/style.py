@@ -10,6 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from gdrl_torchrl.safe_files import own_folder, written_aside
+
 # The palette of Okabe and Ito (2008).
 BLUE = "#0072B2"
 GREEN = "#009E73"
@@ -69,8 +71,7 @@ def quiet(axes: Axes) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure, making its folder; a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    figure.savefig(partial)
-    partial.replace(path)
+    own_folder(path.parent)
+    with written_aside(path) as aside:
+        figure.savefig(aside)
     return path

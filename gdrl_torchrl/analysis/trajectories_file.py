@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from gdrl_torchrl.analysis.fields import read_content
+from gdrl_torchrl.safe_files import read_content
 
 _MOST_BYTES = 2**31
 """Of all arrays: a small file may say that it holds more than any memory."""
@@ -67,7 +68,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is damaged, or an array is of objects, which would be pickled.
     """
-    content = read_content(path)
+    content = read_content(path, _MOST_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
@@ -110,10 +111,26 @@ def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(member) as file:
         # All of it, for only then the checksum is compared; no more than was said.
         stream = io.BytesIO(file.read(member.file_size))
+    _check_length(stream, member)
     array = np.lib.format.read_array(stream, allow_pickle=False)
     if stream.read(1):
         raise ValueError(f"{member.filename} goes on after its end")
     return array
+
+
+def _check_length(stream: io.BytesIO, member: zipfile.ZipInfo) -> None:
+    """Raise ValueError unless an array has as many bytes as its first line says.
+
+    NumPy makes the array before it reads what is to be in it.
+    """
+    version = np.lib.format.read_magic(stream)
+    if version != (1, 0):
+        raise ValueError(f"{member.filename} is of version {version}")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    size = math.prod(shape) * dtype.itemsize
+    if size != member.file_size - stream.tell() and not dtype.hasobject:
+        raise ValueError(f"{member.filename} has not the {size} bytes of its shape")
+    stream.seek(0)
 
 
 def _check_type(

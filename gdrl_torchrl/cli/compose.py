@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import threading
 from typing import Any
 
@@ -113,12 +114,23 @@ def composed(name: str, overrides: list[str]) -> DictConfig:
             VersionBase.set_instance(version_base)
 
 
+def check_plain(task: dict[str, Any]) -> None:
+    """Raise ValueError if a saved task has words for what is elsewhere.
+
+    OmegaConf would fetch it, as from the environment; none is ever saved.
+    """
+    if "${" in json.dumps(task):
+        raise ValueError(f"task={task} must hold no ${{...}}")
+
+
 def merge_task(saved: dict[str, Any], overrides: list[str]) -> Any:
     """A saved task configuration with ``option=value`` overrides.
 
     Raises:
-        ValueError: If an option is unknown or its value has the wrong type.
+        ValueError: If an option is unknown or its value has the wrong type, or what was
+            saved refers to what is elsewhere.
     """
+    check_plain(saved)
     base = OmegaConf.structured(task_config_class(saved["name"])(**saved))
     # Named as they were given.
     given = [f"task.{override}" for override in overrides]

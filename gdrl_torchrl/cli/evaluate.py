@@ -11,7 +11,7 @@ from typing import Any
 
 from gdrl_torchrl.analysis.fields import OBJECT, TEXT, read_object
 from gdrl_torchrl.cli.arguments import CommandParser, fail
-from gdrl_torchrl.cli.compose import merge_task
+from gdrl_torchrl.cli.compose import check_plain, merge_task
 from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.checks import check_choice
 from gdrl_torchrl.config.options import nearest, wrong_type
@@ -126,9 +126,7 @@ def _config_of(saved: dict[str, Any]) -> ExperimentConfig:
     Raises:
         ValueError: If a field is missing, unknown or not what it must be.
     """
-    if "${" in json.dumps(saved["task"]):
-        # Hydra's words for what is elsewhere, as in the environment; none is ever saved.
-        raise ValueError(f"task={saved['task']} must hold no ${{...}}")
+    check_plain(saved["task"])
     algorithms = algorithm_configs()
     check_choice("algorithm.name", saved["algorithm"]["name"], algorithms)
     classes = {

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import fcntl
 import hashlib
 import importlib.util
 import json
 import logging
+import os
+import shlex
 import statistics
 import sys
 from collections.abc import Callable, Iterator
@@ -30,6 +31,7 @@ from gdrl_torchrl.cli.names import names_in, sentence_of
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
+from gdrl_torchrl.safe_files import locked, open_own
 
 _logger = logging.getLogger(__name__)
 _DESCRIPTION = (
@@ -72,6 +74,10 @@ def load_search(arguments: list[str]) -> SearchConfig:
     return search
 
 
+class _SettingsError(Exception):
+    """A trial whose settings are not valid, or do not train."""
+
+
 class Search:
     """Trials of one search, remembered in the folder of its runs.
 
@@ -102,26 +108,48 @@ class Search:
             raise ValueError(text)
         self.folder = Path(example.runs_dir) / config.name
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.study = optuna.create_study(
-            study_name=_study_name(config),
-            storage=_storage(config.storage, self.folder),
-            direction="maximize",
-            pruner=optuna.pruners.MedianPruner(),
-            load_if_exists=True,
-        )
+        # Two processes must not both make what is not there yet.
+        with self._turn():
+            self.study = optuna.create_study(
+                study_name=_study_name(config),
+                storage=_storage(config.storage, self.folder),
+                direction="maximize",
+                pruner=optuna.pruners.MedianPruner(),
+                load_if_exists=True,
+            )
 
     def optimize(self) -> None:
-        """Run trials until there are enough."""
+        """Run trials until there are enough, those that other processes run included.
+
+        Raises:
+            InterruptedRunError: If a signal ended a run.
+            RunDirectoryError: If a run's directory cannot be used, as on a full disk.
+            OSError: If the trials cannot be written.
+        """
+        while True:
+            with contextlib.ExitStack() as stack:
+                trial = self._next_trial(stack)
+                if trial is None:
+                    return
+                self._try(trial)
+
+    def _next_trial(self, stack: contextlib.ExitStack) -> Any:
+        """A trial that no other process has, locked; None if there are enough."""
         import optuna
 
-        self._take_up_abandoned()
-        while len(self.finished()) < self.config.num_trials:
+        # Others must neither count nor take up a trial before its process has locked it.
+        with self._turn():
+            running = self._take_up_abandoned()
+            if len(self.finished()) + running >= self.config.num_trials:
+                if running:
+                    _logger.warning("%d trials still run in other processes", running)
+                return None
             trial = self.study.ask()
-            # Neither another process nor a restart may draw the same numbers again.
-            seed = self.config.sampler_seed + trial.number
-            self.study.sampler = optuna.samplers.TPESampler(seed=seed)
-            with self._locked(trial.number):
-                self._try(trial)
+            stack.enter_context(self._locked(trial.number))
+        # Neither another process nor a restart may draw the same numbers again.
+        seed = self.config.sampler_seed + trial.number
+        self.study.sampler = optuna.samplers.TPESampler(seed=seed)
+        return trial
 
     def finished(self) -> list[Any]:
         """Trials that have ended, by an error too, but not by a signal."""
@@ -139,16 +167,13 @@ class Search:
     def _try(self, trial: Any) -> None:
         from optuna.trial import TrialState
 
-        from gdrl_torchrl.training.run import InterruptedRunError
-
         chosen = [_suggest(trial, param) for param in self.params]
         trial.set_user_attr("overrides", chosen)
         try:
             value, pruned = self._value(trial, chosen)
-        except InterruptedRunError:
-            raise
-        except Exception as error:  # of this trial alone
-            trial.set_user_attr(_ERROR, f"{type(error).__name__}: {error}")
+        # Whatever else ends a run says nothing about settings: the trial is taken up.
+        except _SettingsError as error:
+            trial.set_user_attr(_ERROR, str(error))
             self.study.tell(trial, state=TrialState.FAIL)
             _logger.warning("trial %d: %s: %s", trial.number, " ".join(chosen), error)
             return
@@ -165,7 +190,7 @@ class Search:
             rates = []
             for seed in self.config.seeds:
                 # A run with a larger budget goes on where it was.
-                path = self.run(self._experiment(chosen, seed, budget))
+                path = self._trained(chosen, seed, budget)
                 told = read_object(path / "evaluation.json", {"success_rate": RATE})
                 rates.append(told["success_rate"])
             value = statistics.fmean(rates)
@@ -173,6 +198,18 @@ class Search:
             if budget != budgets[-1] and trial.should_prune():
                 return value, True
         return value, False
+
+    def _trained(self, chosen: list[str], seed: int, budget: int) -> Path:
+        """A run of a trial; what its settings are to blame for becomes one error."""
+        from gdrl_torchrl.training.run import TrainingDivergedError
+
+        try:
+            return self.run(self._experiment(chosen, seed, budget))
+        # A file that the system cannot read is a ValueError too.
+        except OSError:
+            raise
+        except (ValueError, TrainingDivergedError) as error:
+            raise _SettingsError(f"{type(error).__name__}: {error}") from error
 
     def _experiment(self, chosen: list[str], seed: int, budget: int) -> Any:
         config = self.config
@@ -192,22 +229,35 @@ class Search:
             ]
         )
 
-    def _take_up_abandoned(self) -> None:
-        """Queue the trials again whose process is no more; their runs will go on."""
+    def _take_up_abandoned(self) -> int:
+        """Queue the trials again whose process is no more; their runs will go on.
+
+        Returns:
+            How many trials run in other processes.
+        """
         from optuna.trial import TrialState
 
+        running = 0
         for trial in self.study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            with contextlib.suppress(BlockingIOError), self._locked(trial.number):
-                self.study.enqueue_trial(trial.params)
-                self.study.tell(trial.number, state=TrialState.FAIL)
+            try:
+                with self._locked(trial.number):
+                    self.study.enqueue_trial(trial.params)
+                    self.study.tell(trial.number, state=TrialState.FAIL)
+            except BlockingIOError:
+                running += 1
+        return running
+
+    def _turn(self) -> contextlib.AbstractContextManager[None]:
+        """Wait until no other process is between looking at trials and taking one."""
+        return locked(self.folder / ".search.lock", wait=True)
 
     @contextlib.contextmanager
     def _locked(self, number: int) -> Iterator[None]:
         path = self.folder / f".trial_{number}.lock"
-        with open(path, "w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with locked(path):
             yield
-        path.unlink(missing_ok=True)
+            # While it is held: nobody may lock a file that has no name any more.
+            path.unlink(missing_ok=True)
 
 
 def _suggest(trial: Any, param: Override) -> str:
@@ -233,11 +283,14 @@ def _study_name(config: SearchConfig) -> str:
 
 def _storage(kind: str, folder: Path) -> Any:
     from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
+
+    from gdrl_torchrl.cli.search_journal import SearchJournal
 
     if kind == "sqlite":
-        return f"sqlite:///{(folder / 'search.sqlite').absolute()}"
-    return JournalStorage(JournalFileBackend(str(folder / "search.journal")))
+        path = folder / "search.sqlite"
+        os.close(open_own(path, os.O_RDWR | os.O_CREAT))
+        return f"sqlite:///{path.absolute()}"
+    return JournalStorage(SearchJournal(folder / "search.journal"))
 
 
 def _error_of(trial: Any) -> str | None:
@@ -284,12 +337,23 @@ def main() -> None:
     if importlib.util.find_spec("optuna") is None:
         fail("gdrl-search needs Optuna: pip install 'gdrl_torchrl[search]'")
     # Imported here so that a wrong argument is answered without them.
+    from optuna.exceptions import OptunaError
+    from sqlalchemy.exc import SQLAlchemyError
+
     from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
+    from gdrl_torchrl.training.run_directory import RunDirectoryError
+    from gdrl_torchrl.training.worker import WorkerDiedError
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
         search = Search(config, run_experiment)
         search.optimize()
+    except (
+        *(OSError, MemoryError, RunDirectoryError, WorkerDiedError),
+        *(OptunaError, SQLAlchemyError),
+    ) as error:
+        reason = str(error) or type(error).__name__
+        fail(f"{reason}. The same command goes on with the trial that ran")
     except ValueError as error:
         fail(error)
     except InterruptedRunError as stop:
@@ -298,7 +362,8 @@ def main() -> None:
     print(search_table(search))
     best = search.best()
     if best is not None:
-        print("gdrl-train", *config.overrides, *best.user_attrs["overrides"])
+        overrides = [*config.overrides, *best.user_attrs["overrides"]]
+        print(shlex.join(["gdrl-train", *overrides]))
     failed = [trial for trial in search.finished() if _error_of(trial)]
     if failed:
         sys.exit(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from gdrl_tasks.checks import (
@@ -17,6 +18,7 @@ __all__ = [
     "MOST_EPISODES",
     "MOST_SEED",
     "MOST_STEPS",
+    "MOST_WEIGHTS",
     "MOST_WORLDS",
     "among",
     "check_at_most",
@@ -25,7 +27,9 @@ __all__ = [
     "check_fields",
     "check_folder",
     "check_range",
+    "check_weights",
     "limits",
+    "num_weights",
     "within",
 ]
 MOST_SEED = 2**62
@@ -34,6 +38,8 @@ MOST_STEPS = 10**12
 MOST_EPISODES = 1_000_000
 MOST_WORLDS = 100_000
 """A world takes some kilobytes of memory and ten microseconds a step."""
+MOST_WEIGHTS = 2**24
+"""Of a network; the largest that a sweep of ours takes has a thousandth of that."""
 _LONGEST_NAME = 200
 """Bytes: file systems take 255, and a run's folder adds to some names."""
 
@@ -44,6 +50,28 @@ def check_folder(name: str, value: str) -> None:
     if special or len(value.encode()) > _LONGEST_NAME:
         raise ValueError(
             f"{name}={value!r} must be a folder's name of 1 to {_LONGEST_NAME} bytes"
+        )
+
+
+def num_weights(widths: list[int]) -> int:
+    """Weights between hidden layers.
+
+    Examples:
+        >>> num_weights([64, 32, 8])
+        2304
+    """
+    return sum(one * other for one, other in itertools.pairwise(widths))
+
+
+def check_weights(name: str, widths: list[int]) -> None:
+    """Raise ValueError if there are more weights between hidden layers than may be.
+
+    Each width may be large alone; together they would fill any memory.
+    """
+    if num_weights(widths) > MOST_WEIGHTS:
+        raise ValueError(
+            f"{name}={widths} must have at most {MOST_WEIGHTS} weights between its layers, "
+            f"not {num_weights(widths)}"
         )
 
 

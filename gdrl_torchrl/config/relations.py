@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from gdrl_torchrl.config.algorithms import GAConfig, RainbowConfig
+from gdrl_torchrl.config.checks import num_weights
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
 
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
 
 _MOST_DM_CONTROL_SEED = (2**32 - 1) // 1000 - 100
 """A world's seed is a thousand times the run's and its number, and has 32 bits."""
+
+
+_MOST_WEIGHTS_OF_ALL = 2**28
+"""Of all members of a population together: a gibibyte."""
 
 
 def make_task_of(config: ExperimentConfig) -> NavigationTask:
@@ -50,6 +55,7 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
             f"budget.agent_steps={budget.agent_steps} must not be the only budget with "
             f"{label}, whose agent takes no steps: give budget.total_steps"
         )
+    _check_population(config)
     on_switch = getattr(evolution, "critic_on_switch", "keep")
     if on_switch == "reset" and isinstance(algorithm, RainbowConfig):
         raise ValueError(
@@ -78,3 +84,18 @@ def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
             f"task.actions={given!r} must be {needed!r} with algorithm.name={name!r}: give "
             f"task.actions={needed}"
         )
+
+
+def _check_population(config: ExperimentConfig) -> None:
+    """Raise ValueError if all members together have too many weights for a memory."""
+    weights = num_weights(config.network.actor_cells)
+    for group in ("algorithm", "evolution"):
+        options = getattr(config, group)
+        for field in ("num_children", "population_size"):
+            members = getattr(options, field, 0)
+            if members * weights > _MOST_WEIGHTS_OF_ALL:
+                raise ValueError(
+                    f"{group}.{field}={members} must be <= "
+                    f"{_MOST_WEIGHTS_OF_ALL // weights} with network.actor_cells="
+                    f"{config.network.actor_cells}, so that all members fit into memory"
+                )

@@ -18,6 +18,7 @@ from gdrl_torchrl.config.checks import (
     among,
     check_fields,
     check_folder,
+    check_weights,
     limits,
     within,
 )
@@ -47,6 +48,8 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, "network")
+        for name in ("actor_cells", "critic_cells"):
+            check_weights(f"network.{name}", getattr(self, name))
 
 
 @dataclasses.dataclass

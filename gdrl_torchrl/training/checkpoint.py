@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,19 +12,26 @@ from typing import Any
 
 import numpy as np
 import torch
-from torchrl.checkpoint import (
-    Checkpoint,
-    CheckpointAdapter,
-    CheckpointError,
-    CheckpointRotation,
-)
+from torchrl.checkpoint import Checkpoint, CheckpointAdapter, CheckpointError
 from torchrl.collectors import Collector
 
 from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.safe_files import own_folder
 from gdrl_torchrl.training.build import Training
+from gdrl_torchrl.training.checkpoint_file import (
+    ADAPTER,
+    COMPONENT,
+    STATE_FILE,
+    read_checkpoint,
+)
 from gdrl_torchrl.training.state_file import read_state, write_state
 
 _logger = logging.getLogger(__name__)
+_SAVED = re.compile(r"checkpoint-\d{12,}\.torchrl")
+# TorchRL's names too, while it writes one.
+_UNFINISHED = re.compile(r"\.+checkpoint-\d+\.torchrl(\..*)?")
+_OUT_OF_MEMORY = "can't allocate memory"
+"""In what torch raises, a RuntimeError as any other."""
 
 
 class TrainingState:
@@ -103,18 +111,20 @@ class Checkpoints:
     ) -> None:
         self.folder = folder
         self.identity = dict(identity)
+        self.keep = keep
+        self._state = state
         self._checkpoint = Checkpoint(format="archive").register(
-            "training", state, adapter=SafetensorsAdapter()
+            COMPONENT, state, adapter=SafetensorsAdapter()
         )
-        self._rotation = CheckpointRotation(folder, keep_last=keep)
 
     def save(self, step: int) -> Path:
         """Save the state under a number of steps.
 
         Raises:
-            OSError: If it cannot be written, as on a full disk; those before are whole.
+            OSError: If it cannot be written, as on a full disk, or the folder is a link;
+                those before are whole.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
+        own_folder(self.folder)
         path = self.folder / f"checkpoint-{step:012d}.torchrl"
         aside = self.folder / f".{path.name}"
         try:
@@ -125,45 +135,89 @@ class Checkpoints:
         finally:
             aside.unlink(missing_ok=True)
         flush_to_disk(self.folder)
-        self._rotation.prune()
+        self._prune(path)
         return path
 
     def load_latest(self) -> bool:
         """Restore the newest checkpoint that can be used; False if there is none at all.
 
-        Those that cannot be used are named in warnings, with what is wrong, and stay.
+        Those that are damaged or of another run are named in warnings, with what is
+        wrong. Once one before them is restored they are moved aside, under a name that
+        begins with ``refused-``.
 
         Raises:
-            CheckpointError: If there are checkpoints, but none can be used.
+            CheckpointError: If there are checkpoints, but none can be used; they stay.
+            OSError: If the system cannot read one, or the folder is a link. It may well
+                be whole: everything stays.
+            MemoryError: If there is not enough memory to read one, likewise.
         """
-        # What a killed process had not finished.
-        for path in self.folder.glob(".*"):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        refused = []
-        for path in sorted(self.folder.glob("checkpoint-*"), reverse=True):
+        own_folder(self.folder)
+        self._remove_unfinished()
+        refused: dict[Path, str] = {}
+        for path in reversed(saved_checkpoints(self.folder)):
             try:
-                self._check_identity(path)
-                self._checkpoint.load(path)
-            # Whatever a damaged file makes readers raise: there is one before it.
-            except Exception as error:
-                refused.append(f"{path.name}: {error}")
-                _logger.warning("checkpoint refused: %s", refused[-1])
+                self._restore(path)
+            except CheckpointError as error:
+                refused[path] = f"{path.name}: {error}"
+                _logger.warning("checkpoint refused: %s", refused[path])
             else:
+                for other in refused:
+                    _set_aside(other)
                 return True
         if refused:
             raise CheckpointError(
-                f"no checkpoint in {self.folder} can be used ({'; '.join(refused)}): "
-                "remove the folder to start anew"
+                f"no checkpoint in {self.folder} can be used "
+                f"({'; '.join(refused.values())}): remove the folder to start anew"
             )
         return False
 
-    def _check_identity(self, path: Path) -> None:
-        found = Checkpoint.manifest(path).get("metadata", {})
+    def _restore(self, path: Path) -> None:
+        saved = read_checkpoint(path)
         for name, expected in self.identity.items():
-            if found.get(name) != expected:
+            if saved.metadata.get(name) != expected:
                 raise CheckpointError(
-                    f"{name} is {found.get(name)!r}, expected {expected!r}"
+                    f"{name} is {saved.metadata.get(name)!r}, expected {expected!r}"
                 )
+        try:
+            self._state.load_state_dict(saved.state)
+        except (OSError, MemoryError):
+            raise
+        # Its checksums were right: it is of other parts than those that are here.
+        except Exception as error:
+            if _OUT_OF_MEMORY in str(error):
+                raise MemoryError(f"{path} cannot be restored: {error}") from error
+            raise CheckpointError(f"it does not fit: {error!r}") from error
+
+    def _prune(self, newest: Path) -> None:
+        """Remove all but the last few up to what was just saved."""
+        saved = [path for path in saved_checkpoints(self.folder) if path.is_file()]
+        for path in saved[: saved.index(newest) + 1][: -self.keep]:
+            path.unlink()
+
+    def _remove_unfinished(self) -> None:
+        """Remove what a killed process had not finished; nothing of other names."""
+        for path in self.folder.iterdir():
+            if _UNFINISHED.fullmatch(path.name):
+                is_folder = path.is_dir() and not path.is_symlink()
+                shutil.rmtree(path) if is_folder else path.unlink()
+
+
+def saved_checkpoints(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the newest last; none if there is no folder."""
+    return sorted(
+        path for path in folder.glob("checkpoint-*") if _SAVED.fullmatch(path.name)
+    )
+
+
+def _set_aside(path: Path) -> None:
+    """Rename a file that was refused, to a name that is free."""
+    target = path.with_name(f"refused-{path.name}")
+    number = 0
+    while os.path.lexists(target):
+        number += 1
+        target = path.with_name(f"refused-{path.name}.{number}")
+    path.rename(target)
+    _logger.warning("%s is now %s", path, target.name)
 
 
 class SafetensorsAdapter(CheckpointAdapter):
@@ -173,15 +227,14 @@ class SafetensorsAdapter(CheckpointAdapter):
     code; this file has none: tensors, and an outline in JSON of where they belong.
     """
 
-    adapter_id = "gdrl_torchrl.safetensors"
-    file_name = "state.safetensors"
+    adapter_id = ADAPTER
 
     def save(
         self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Any
     ) -> None:
         """Write the state of a component below a path."""
         path.mkdir(parents=True, exist_ok=True)
-        write_state(path / self.file_name, component.state_dict(*args, **kwargs))
+        write_state(path / STATE_FILE, component.state_dict(*args, **kwargs))
 
     def load(
         self,
@@ -199,7 +252,7 @@ class SafetensorsAdapter(CheckpointAdapter):
             CheckpointError: If the file is not one of :meth:`save`.
         """
         try:
-            state = read_state(path / self.file_name)
+            state = read_state(path / STATE_FILE)
         except ValueError as error:
             raise CheckpointError(str(error)) from error
         component.load_state_dict(state, *args, **kwargs)

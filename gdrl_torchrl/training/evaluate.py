@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
 from gdrl_tasks.navigation import success_weighted_path_length
 from gdrl_torchrl import keys
-from gdrl_torchrl.analysis.fields import DIGEST, read_content, read_object
+from gdrl_torchrl.analysis.fields import DIGEST, read_object
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env
 from gdrl_torchrl.evolution.genome import genome_of, stack_copies
 from gdrl_torchrl.modules.private_copy import private_copy
+from gdrl_torchrl.safe_files import own_folder, read_content, written_aside
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 POLICY_FILE = "policy.safetensors"
@@ -144,7 +144,7 @@ def save_policy(
     Raises:
         OSError: If a file cannot be written; what was there before is whole.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    own_folder(folder)
     # Copies: the format refuses buffers that share memory, as TorchRL's supports do.
     state = {name: value.clone() for name, value in actor.state_dict().items()}
     # Not by ``save_file``, whose errors do not say what the system said.
@@ -175,12 +175,15 @@ def load_policy(folder: Path, actor: nn.Module) -> None:
             that are not finite, or is not what its contract, if there is one, says.
     """
     path, contract = folder / POLICY_FILE, folder / CONTRACT_FILE
+    own = actor.state_dict()
+    # The header takes some hundred bytes a tensor.
+    most_bytes = 2**20 + 2 * sum(value.nbytes for value in own.values())
     try:
-        state = load(read_content(path))
+        state = load(read_content(path, most_bytes))
     # What a damaged file makes readers raise has no common type.
     except Exception as error:
         raise ValueError(f"{path} cannot be loaded: {error}") from error
-    _check_state(state, actor.state_dict(), path)
+    _check_state(state, own, path)
     if contract.exists():
         said = read_object(contract, {"params_sha256": DIGEST})["params_sha256"]
         if said != (found := _digest(state)):
@@ -212,12 +215,8 @@ def _check_state(
 
 
 def _write(path: Path, content: bytes) -> None:
-    aside = path.with_name(f".{path.name}.partial")
-    try:
+    with written_aside(path) as aside:
         aside.write_bytes(content)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def evaluation_record(

@@ -11,6 +11,7 @@ import torch
 
 from gdrl_tasks.divergence import DivergedWorld
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.safe_files import own_folder, written_aside
 from gdrl_torchrl.training.finite_batches import NonFiniteBatchError
 from gdrl_torchrl.training.state_file import write_state
 from gdrl_torchrl.training.update import NonFiniteUpdateError
@@ -64,10 +65,11 @@ class FaultFiles:
 
     def _write(self, name: str, content: dict[str, Any]) -> Path | None:
         path = self.folder / name
-        self.folder.mkdir(exist_ok=True)
+        own_folder(self.folder)
         if not path.exists() and len(list(self.folder.iterdir())) >= self.most:
             return None
-        write_state(path, content)
+        with written_aside(path) as aside:
+            write_state(aside, content)
         return path
 
 

@@ -17,11 +17,13 @@ from torchrl.record.loggers import Logger
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.genome import install
+from gdrl_torchrl.safe_files import own_folder
 from gdrl_torchrl.training.build import Training, build_training
 from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
     flush_to_disk,
+    saved_checkpoints,
     seed_everything,
 )
 from gdrl_torchrl.training.evaluate import (
@@ -105,7 +107,7 @@ class TrainingDivergedError(RuntimeError):
         directory: RunDirectory,
         batch: Path | None,
     ) -> None:
-        saved = sorted(directory.checkpoints.glob("checkpoint-*"))
+        saved = saved_checkpoints(directory.checkpoints)
         self.path, self.batch = directory.path, batch
         self.checkpoint = saved[-1] if saved else None
         super().__init__(
@@ -212,6 +214,11 @@ def _disk_errors_named(path: Path) -> Iterator[None]:
         advice = _ADVICE.get(error.errno or 0)
         text = f"{path}: {error}" + (f"; {advice}" if advice else "")
         raise RunDirectoryError(text) from error
+    except MemoryError as error:
+        raise RunDirectoryError(
+            f"{path}: there is not enough memory ({error or 'for what came next'}); "
+            "checkpoints that were saved are whole: the same command goes on from them"
+        ) from error
 
 
 def _run(
@@ -375,6 +382,7 @@ def _report(
     if config.logger.video_episodes:
         video = directory.path / "videos" / "episodes.mp4"
         with _nice_to_have("video"):
+            own_folder(video.parent)
             how = write_video(task, act, seeds[: config.logger.video_episodes], video)
             _logger.info("video %s: %s", how, video)
 

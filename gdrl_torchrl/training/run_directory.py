@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
-import fcntl
 import hashlib
 import json
 import logging
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.analysis.fields import COUNT, OBJECT, SECONDS, TEXT, Kind, read_object
 from gdrl_torchrl.analysis.metrics_file import read_rows, split_lines
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.safe_files import aside_of, locked, open_own, written_aside
 from gdrl_torchrl.training.provenance import RUN_VERSION, differing_packages, provenance
 
 _logger = logging.getLogger(__name__)
@@ -32,6 +32,16 @@ _FIELDS: Mapping[str, Mapping[str, Kind]] = {
 """What is read of files."""
 _VERSION = {"version": COUNT}
 """Those of before there were versions have none."""
+_WRITTEN = (
+    *_FIELDS,
+    "FAILED",
+    "config.json",
+    "overrides.json",
+    "evaluation.json",
+    "metrics.csv",
+    "trajectories.npz",
+)
+"""What is written aside before it gets its name."""
 _NOT_IN_KEY = (
     "name",
     "seed",
@@ -101,9 +111,8 @@ class RunDirectory:
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write a file atomically."""
         path = self.path / name
-        temporary = path.with_name(f".{path.name}.partial")
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
-        os.replace(temporary, path)
+        with written_aside(path) as aside:
+            aside.write_text(json.dumps(content, indent=2) + "\n")
         return path
 
     def read_json(self, name: str) -> dict[str, Any] | None:
@@ -118,7 +127,10 @@ class RunDirectory:
             return None
         try:
             return read_object(path, _FIELDS.get(name, {}), _VERSION)
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            # It may well be whole.
+            raise RunDirectoryError(str(error)) from error
+        except ValueError as error:
             raise RunDirectoryError(
                 f"{error}: remove this file to go on without it"
             ) from error
@@ -138,8 +150,8 @@ class RunDirectory:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         # What a killed process, or one on a full disk, had not finished.
-        for partial in self.path.glob(".*.partial*"):
-            partial.unlink()
+        for name in _WRITTEN:
+            aside_of(self.path / name).unlink(missing_ok=True)
         known, here = self.read_json("provenance.json"), provenance()
         before: list[Any] = []
         if known is not None:
@@ -168,19 +180,22 @@ class RunDirectory:
                 "with it all the same, or remove the directory to start anew"
             )
 
-    @contextmanager
+    @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other processes out; the lock of a killed process blocks nobody.
 
         Raises:
-            RunDirectoryError: If another process holds it.
+            RunDirectoryError: If another process holds it, or it is no file.
+            OSError: If it cannot be opened, or is a link.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        with open(self.path / ".lock", "w") as file:
+        with contextlib.ExitStack() as stack:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                stack.enter_context(locked(self.path / ".lock"))
             except BlockingIOError as error:
                 raise RunInUseError(self.path) from error
+            except ValueError as error:
+                raise RunDirectoryError(f"{error}: remove it") from error
             yield
 
 
@@ -212,9 +227,8 @@ class MetricsTable:
     def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
         self.path = path
         self.columns = columns
-        if not path.exists():
-            with open(path, "w", newline="") as file:
-                csv.writer(file).writerow(columns)
+        with contextlib.suppress(FileExistsError):
+            self._write([columns], os.O_CREAT | os.O_EXCL)
 
     def append(self, row: Mapping[str, float | int | None]) -> None:
         """Add a row.
@@ -226,8 +240,7 @@ class MetricsTable:
         if unknown:
             raise ValueError(f"metrics {sorted(unknown)} have no column")
         cells = [row.get(name) for name in self.columns]
-        with open(self.path, "a", newline="") as file:
-            csv.writer(file).writerow(["" if cell is None else cell for cell in cells])
+        self._write([["" if cell is None else cell for cell in cells]], os.O_APPEND)
 
     def cut_after(self, total_steps: int) -> None:
         """Drop the rows after a step: what a resumed run will write again.
@@ -236,6 +249,7 @@ class MetricsTable:
 
         Raises:
             RunDirectoryError: If the table is damaged.
+            OSError: If the system cannot read or write it.
         """
         try:
             # A row that a kill cut short lacks the end of its line.
@@ -247,6 +261,9 @@ class MetricsTable:
             if names and "total_steps" not in names:
                 raise ValueError("there is no column total_steps")
             rows = read_rows(names, lines, self.path)
+        except OSError:
+            # A ValueError too, but no damage: it may well be whole.
+            raise
         except ValueError as error:
             raise RunDirectoryError(
                 f"{self.path} is damaged: {error}: move it away to begin a new table"
@@ -263,9 +280,12 @@ class MetricsTable:
             _logger.warning(
                 "%s has no rows from step %d to %d", self.path, last, total_steps
             )
-        temporary = self.path.with_name(f".{self.path.name}.partial")
-        with open(temporary, "w", newline="") as file:
+        with written_aside(self.path) as aside, open(aside, "w", newline="") as file:
             writer = csv.DictWriter(file, self.columns)
             writer.writeheader()
             writer.writerows(kept)
-        os.replace(temporary, self.path)
+
+    def _write(self, rows: Iterable[Sequence[object]], flags: int) -> None:
+        descriptor = open_own(self.path, os.O_WRONLY | flags)
+        with open(descriptor, "a", newline="") as file:
+            csv.writer(file).writerows(rows)

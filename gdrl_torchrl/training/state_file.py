@@ -9,8 +9,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+
+from gdrl_torchrl.safe_files import read_content
+
+_MOST_BYTES = 2**30
 
 
 def write_state(path: Path, state: Any) -> None:
@@ -35,16 +39,31 @@ def read_state(path: Path) -> Any:
     """Read a state of :func:`write_state`. No code of the file is run: it has none.
 
     Raises:
-        ValueError: If the file is not one of those.
+        ValueError: If the file is not one of those, or has more than a gibibyte.
         OSError: If it cannot be read.
     """
+    content = read_content(path, _MOST_BYTES)
     try:
-        with safe_open(path, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.offset_keys()}
-            text = (file.metadata() or {}).get("outline", "null")
-        return _filled(json.loads(text), tensors)
-    except (SafetensorError, ValueError, RecursionError) as error:
+        return state_of(content)
+    except ValueError as error:
         raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def state_of(content: bytes) -> Any:
+    """The state in the content of a file of :func:`write_state`.
+
+    Raises:
+        ValueError: If it is not one.
+    """
+    try:
+        tensors = load(content)
+        # The library has checked what comes first: the length of a header in JSON.
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        text = header.get("__metadata__", {}).get("outline", "null")
+        return _filled(json.loads(text), tensors)
+    # RuntimeError and KeyError: shapes and types that torch has not.
+    except (SafetensorError, ValueError, RecursionError, RuntimeError, KeyError) as error:
+        raise ValueError(str(error)) from error
 
 
 def _outline(value: Any, tensors: dict[str, torch.Tensor]) -> Any:

@@ -12,6 +12,8 @@ from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore
 from torch.utils.tensorboard.writer import SummaryWriter
 from torchrl.record.loggers.tensorboard import TensorboardLogger
 
+from gdrl_torchrl.safe_files import own_folder
+
 
 class ResumedTensorboardLogger(TensorboardLogger):
     """TorchRL's logger; what an earlier start logged after a step is no longer shown.
@@ -26,7 +28,7 @@ class ResumedTensorboardLogger(TensorboardLogger):
         super().__init__("tensorboard", log_dir=str(run_dir))
 
     def _create_experiment(self) -> SummaryWriter:
-        folder = Path(self.log_dir) / self.exp_name
+        folder = own_folder(Path(self.log_dir) / self.exp_name)
         return SummaryWriter(str(folder), purge_step=self._first_step)
 
     def log_metrics(

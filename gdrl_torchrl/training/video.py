@@ -16,6 +16,7 @@ from gdrl_tasks.indoor.robot import BODY_X_M, FOOTPRINT_M
 from gdrl_tasks.indoor.task import IndoorTask
 from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.task import NavigationTask
+from gdrl_torchrl.safe_files import new_aside, written_aside
 from gdrl_torchrl.training.frames import (
     Film,
     drawn_frames,
@@ -117,9 +118,8 @@ def save_trajectories(run_dir: str | Path, trajectories: dict[str, np.ndarray]) 
     """
     path = Path(run_dir) / TRAJECTORIES_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial.npz")
-    np.savez_compressed(partial, allow_pickle=False, **trajectories)
-    partial.replace(path)
+    with written_aside(path) as aside:
+        np.savez_compressed(aside, allow_pickle=False, **trajectories)
     return path
 
 
@@ -251,7 +251,7 @@ def _encode(
     from gdrl_torchrl.analysis.captions import Captions
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial.mp4")
+    partial = new_aside(path)
     captions = Captions(film.trajectories, film.speed, 2 * film.width)
     writer = imageio.get_writer(
         partial,

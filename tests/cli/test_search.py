@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import re
+import shlex
 import signal
 import subprocess
 import sysconfig
@@ -13,10 +16,15 @@ from pathlib import Path
 
 import pytest
 
+from gdrl_torchrl.cli import search_journal
 from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.cli.search import Search, load_search, search_table
 from gdrl_torchrl.config.search import SearchConfig
-from gdrl_torchrl.training.run import InterruptedRunError
+from gdrl_torchrl.safe_files import UnreadableFileError
+from gdrl_torchrl.training.run import InterruptedRunError, TrainingDivergedError
+from gdrl_torchrl.training.run_directory import RunDirectory, RunDirectoryError
+from gdrl_torchrl.training.update import NonFiniteUpdateError
+from gdrl_torchrl.training.worker import WorkerDiedError
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 SEARCHES = sorted(
@@ -29,8 +37,9 @@ BEST_MUT_V = 0.2
 class FakeRuns:
     """Runs of no cost whose success falls off with the distance to a best value."""
 
-    def __init__(self, folder, *, fail_at=None, stop_at=None, rate=None):
+    def __init__(self, folder, *, fail_at=None, stop_at=None, rate=None, error=None):
         self.folder, self.fail_at, self.stop_at = folder, fail_at, stop_at
+        self.error = error or ValueError("mut_v=2 must be <= 1")
         self.experiments = []
         self.rate = rate or self.of_mutation
 
@@ -44,7 +53,7 @@ class FakeRuns:
         if number == self.stop_at:
             raise InterruptedRunError(signal.SIGTERM, self.folder)
         if number == self.fail_at:
-            raise FloatingPointError("the loss is not a number")
+            raise self.error
         path = self.folder / f"run_{number}"
         path.mkdir(parents=True)
         record = {"success_rate": self.rate(experiment)}
@@ -172,19 +181,114 @@ def test_the_running_trial_of_another_process_is_left_alone(tmp_path):
     may_end.set()
     worker.join(60)
     states = [trial.state.name for trial in second.study.get_trials()]
-    assert states == ["COMPLETE"] * 3
-    assert len(runs.experiments) == 2
+    assert states == ["COMPLETE"] * 2
+    assert len(runs.experiments) == 1
     tried = [e.evolution.mut_v for e in (*waiting.experiments, *runs.experiments)]
-    assert len(set(tried)) == 3
+    assert len(set(tried)) == 2
 
 
-def test_a_trial_that_fails_does_not_end_the_search(tmp_path):
-    search, _ = search_of(tmp_path, FakeRuns(tmp_path / "fake", fail_at=2), num_trials=3)
+@pytest.mark.parametrize("kind", ["value", "diverged"])
+def test_a_trial_that_fails_does_not_end_the_search(tmp_path, kind):
+    error = ValueError("mut_v=2 must be <= 1")
+    if kind == "diverged":
+        directory = RunDirectory(tmp_path / "run")
+        error = TrainingDivergedError(NonFiniteUpdateError(["loss"], None), directory, None)
+    runs = FakeRuns(tmp_path / "fake", fail_at=2, error=error)
+    search, _ = search_of(tmp_path, runs, num_trials=3)
     search.optimize()
     states = [trial.state.name for trial in search.finished()]
     assert states == ["COMPLETE", "FAIL", "COMPLETE"]
-    assert "FloatingPointError" in search.finished()[1].user_attrs["error"]
+    assert search.finished()[1].user_attrs["error"] == f"{type(error).__name__}: {error}"
     assert search.best().state.name == "COMPLETE"
+
+
+OF_THE_MACHINE = [
+    OSError(errno.ENOSPC, "No space left on device"),
+    UnreadableFileError(OSError(errno.EIO, "Input/output error"), Path("config.json")),
+    MemoryError("no memory"),
+    RunDirectoryError("runs/a is in use by another process"),
+    WorkerDiedError("killed"),
+    RuntimeError("a fault of the code"),
+]
+
+
+@pytest.mark.parametrize("error", OF_THE_MACHINE, ids=lambda error: type(error).__name__)
+def test_an_error_of_the_machine_ends_the_search_and_its_trial_is_taken_up(tmp_path, error):
+    options = {"num_trials": 3}
+    broken = FakeRuns(tmp_path / "first", fail_at=2, error=error)
+    search, _ = search_of(tmp_path, broken, **options)
+    with pytest.raises(type(error), match=re.escape(str(error))):
+        search.optimize()
+    assert len(broken.experiments) == 2, "it tried no other trial"
+    assert [trial.state.name for trial in search.finished()] == ["COMPLETE"]
+    again, runs = search_of(tmp_path, FakeRuns(tmp_path / "second"), **options)
+    again.optimize()
+    assert [trial.state.name for trial in again.finished()] == ["COMPLETE"] * 3
+    taken_up = broken.experiments[-1].evolution.mut_v
+    assert runs.experiments[0].evolution.mut_v == taken_up
+
+
+def test_a_result_that_cannot_be_read_is_not_held_against_settings(tmp_path):
+    runs = FakeRuns(tmp_path / "fake", rate=lambda experiment: "high")
+    search, _ = search_of(tmp_path, runs)
+    with pytest.raises(ValueError, match="success_rate='high'"):
+        search.optimize()
+    assert search.finished() == []
+
+
+@pytest.mark.parametrize("kept", [1, 10, -2])
+def test_a_journal_whose_last_line_was_cut_goes_on(tmp_path, kept, caplog):
+    search, _ = search_of(tmp_path, FakeRuns(tmp_path / "a"), num_trials=2)
+    search.optimize()
+    journal = search.folder / "search.journal"
+    *whole, last = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(whole) + last[:kept])
+    for num_trials in (3, 4):
+        runs = FakeRuns(tmp_path / f"b{num_trials}")
+        again, _ = search_of(tmp_path, runs, num_trials=num_trials)
+        again.optimize()
+        assert len(again.finished()) == num_trials
+    assert "a line that was cut" in caplog.text
+    assert all(json.loads(line) for line in journal.read_text().splitlines())
+
+
+def test_a_journal_is_whole_after_a_disk_that_took_a_part(tmp_path, monkeypatch):
+    search, _ = search_of(tmp_path, FakeRuns(tmp_path / "a"), num_trials=1)
+    search.optimize()
+    whole = (search.folder / "search.journal").read_bytes()
+
+    def write_part(file, content):
+        file.write(content[:7])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(search_journal, "_write_all", write_part)
+        with pytest.raises(OSError, match="No space left"):
+            search_of(tmp_path, FakeRuns(tmp_path / "b"), num_trials=2)[0].optimize()
+    assert (search.folder / "search.journal").read_bytes() == whole
+
+
+def test_a_damaged_journal_is_named(tmp_path):
+    search, _ = search_of(tmp_path, num_trials=1)
+    search.optimize()
+    journal = search.folder / "search.journal"
+    journal.write_bytes(b"no line of a journal\n" + journal.read_bytes())
+    with pytest.raises(ValueError, match=r"search\.journal is damaged.*move it away"):
+        search_of(tmp_path, num_trials=2)
+
+
+@pytest.mark.parametrize("storage", ["journal", "sqlite"])
+def test_a_search_writes_through_no_link(tmp_path, storage):
+    outside = tmp_path / "outside"
+    outside.write_text("mine")
+    folder = tmp_path / "runs" / "search"
+    folder.mkdir(parents=True)
+    for name in (f"search.{storage}", ".search.lock", ".trial_0.lock"):
+        (folder / name).symlink_to(outside)
+        with pytest.raises(OSError, match="is a link"):
+            search_of(tmp_path, storage=storage)[0].optimize()
+        (folder / name).unlink()
+        assert outside.read_text() == "mine"
 
 
 def test_another_question_begins_anew_and_more_trials_do_not(tmp_path):
@@ -257,6 +361,7 @@ def test_the_command_trains_and_prints_the_best_overrides_last(tmp_path):
         "search.episodes=2",
         "search.seeds=[0]",
         "task.step_limit=60",
+        "network.actor_cells=[16, 16]",
         "algorithm.frames_per_batch=512",
         "algorithm.num_epochs=1",
         f"runs_dir={tmp_path}",
@@ -266,7 +371,9 @@ def test_the_command_trains_and_prints_the_best_overrides_last(tmp_path):
     *table, best = done.stdout.strip().splitlines()
     assert len(table) == 2
     assert best.startswith("gdrl-train experiment=gppo_water task.step_limit=60")
-    found = load_experiment(best.split()[1:])
+    # As a shell takes it.
+    found = load_experiment(shlex.split(best)[1:])
+    assert found.network.actor_cells == [16, 16]
     evaluations = list(tmp_path.rglob("evaluation.json"))
     assert len(evaluations) == 2
     records = [json.loads(path.read_text()) for path in evaluations]

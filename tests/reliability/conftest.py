@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import gdrl_torchrl.conf
@@ -14,6 +16,7 @@ from gdrl_torchrl.config.evolution import ErlConfig
 from gdrl_torchrl.training.phases import PHASES
 
 ROWS = 90
+DISK_KB = 4096
 # So near that some get there: a population without differences hands nothing over.
 OF_TASK = {
     "indoor": [],
@@ -91,3 +94,30 @@ def rows_of():
 def evaluation_of():
     """A run's evaluation, without the clock."""
     return lambda run: json.loads((run / "evaluation.json").read_text()) | {"wall_s": None}
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A folder on a file system of four megabytes."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_KB}k", "tmpfs", str(folder)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        pytest.skip(f"a small file system cannot be mounted here: {error}")
+    if mounted.returncode:
+        pytest.skip(f"a small file system cannot be mounted here: {mounted.stderr}")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.fixture
+def leave_room():
+    def leave(disk, kilobytes):
+        """Fill a file system until there is room for so much; the file that fills it."""
+        filler = disk / "filler"
+        filler.write_bytes(bytes(shutil.disk_usage(disk).free - 1024 * kilobytes))
+        return filler
+
+    return leave

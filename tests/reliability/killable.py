@@ -13,8 +13,6 @@ import signal
 import sys
 from pathlib import Path
 
-from torchrl.checkpoint import CheckpointRotation
-
 from gdrl_tasks.batch import BatchSimulation
 from gdrl_torchrl.cli import train
 from gdrl_torchrl.training import checkpoint, genetic
@@ -70,7 +68,7 @@ def watch_rows(moment: Moment) -> None:
 
 def watch_saving(moment: Moment) -> None:
     write_bytes, flush = Path.write_bytes, checkpoint.flush_to_disk
-    prune, replace = CheckpointRotation.prune, os.replace
+    prune, replace = checkpoint.Checkpoints._prune, os.replace
 
     def write(path, data):
         if path.name == "state.safetensors" and moment.is_due("saving", 0):
@@ -90,12 +88,12 @@ def watch_saving(moment: Moment) -> None:
             moment.kill_if_due("saving", 2)
         replace(source, target)
 
-    def prune_old(rotation):
+    def prune_old(checkpoints, newest):
         moment.kill_if_due("saving", 4)
-        return prune(rotation)
+        return prune(checkpoints, newest)
 
     Path.write_bytes, checkpoint.flush_to_disk = write, flush_file_or_folder
-    os.replace, CheckpointRotation.prune = rename, prune_old
+    os.replace, checkpoint.Checkpoints._prune = rename, prune_old
 
 
 def watch_evaluation(moment: Moment) -> None:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import json
+import os
 import random
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +20,7 @@ from tensordict import NonTensorData, TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training import checkpoint, state_file
+from gdrl_torchrl.training import checkpoint, checkpoint_file, state_file
 from gdrl_torchrl.training.checkpoint import Checkpoints
 from gdrl_torchrl.training.run import run_experiment
 
@@ -248,7 +253,8 @@ def test_what_cannot_be_saved_is_named(tmp_path):
 
 def test_code_in_a_crafted_checkpoint_is_not_run(bomb_for, tmp_path):
     struck = tmp_path / "struck"
-    crafted = tmp_path / "checkpoints" / "checkpoint-000000000001.torchrl"
+    name = "checkpoint-000000000001.torchrl"
+    crafted = tmp_path / "crafted" / name
     theirs = Checkpoint().register(
         "training",
         State({"a": torch.ones(2)}),
@@ -262,9 +268,13 @@ def test_code_in_a_crafted_checkpoint_is_not_run(bomb_for, tmp_path):
     )
     # Making it copies the bomb, which sets it off.
     struck.unlink(missing_ok=True)
+    (tmp_path / "checkpoints").mkdir()
+    with zipfile.ZipFile(tmp_path / "checkpoints" / name, "w") as archive:
+        for file in crafted.rglob("*"):
+            archive.write(file, file.relative_to(crafted))
     state = State()
     with pytest.raises(CheckpointError, match="adapter"):
-        checkpoints_of(crafted.parent, state).load_latest()
+        checkpoints_of(tmp_path / "checkpoints", state).load_latest()
     assert state.restored == 0
     assert not struck.exists()
     # It would have been, by the adapter that we do not use.
@@ -296,3 +306,200 @@ def test_a_crafted_outline_is_refused(outline, tmp_path, monkeypatch):
             state, tmp_path, map_location=None, tensor_load_kwargs={}, args=(), kwargs={}
         )
     assert state.restored == 0
+
+
+# What is refused, and what is kept
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def damage(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+@pytest.mark.parametrize("keep", [1, 2])
+def test_a_damaged_newest_checkpoint_displaces_no_good_one(keep, tmp_path):
+    first = Checkpoints(tmp_path, State(content_of(10)), IDENTITY, keep=9)
+    for step in (10, 20, 90):
+        first._state.content = content_of(step)
+        newest = first.save(step)
+    damage(newest)
+    state = State()
+    checkpoints = Checkpoints(tmp_path, state, IDENTITY, keep=keep)
+    assert checkpoints.load_latest()
+    assert state.content["step"] == 20
+    for step in (30, 40):
+        state.content = content_of(step)
+        assert checkpoints.save(step).exists(), "what was just saved is there"
+    expected = [f"checkpoint-{step:012d}.torchrl" for step in (30, 40)[-keep:]]
+    assert names_in(tmp_path) == [*expected, f"refused-{newest.name}"]
+    again = State()
+    assert checkpoints_of(tmp_path, again).load_latest()
+    assert again.content["step"] == 40
+
+
+def test_what_is_just_saved_stays_though_there_are_later_ones(tmp_path):
+    """As when somebody puts them there while a run goes on."""
+    state = State(content_of(1))
+    checkpoints = Checkpoints(tmp_path, state, IDENTITY, keep=1)
+    for step in (80, 90):
+        (tmp_path / f"checkpoint-{step:012d}.torchrl").write_text("nothing")
+    for step in (10, 20):
+        assert checkpoints.save(step).exists()
+    assert len(names_in(tmp_path)) == 3
+
+
+def test_those_that_are_refused_twice_are_all_kept(tmp_path):
+    for step in (10, 20, 20):
+        state = State(content_of(step))
+        checkpoints = Checkpoints(tmp_path, state, IDENTITY, keep=9)
+        newest = checkpoints.save(step)
+        if step == 20:
+            newest.write_text("nothing")
+            assert checkpoints.load_latest()
+    name = "refused-checkpoint-000000000020.torchrl"
+    assert names_in(tmp_path)[1:] == [name, f"{name}.1"]
+
+
+def test_where_none_can_be_used_all_stay_as_they_are(saved):
+    for path in saved.iterdir():
+        damage(path)
+    before = names_in(saved)
+    for _ in range(2):
+        with pytest.raises(CheckpointError, match="no checkpoint"):
+            checkpoints_of(saved, State()).load_latest()
+        assert names_in(saved) == before
+
+
+# What the machine is to blame for
+
+NOT_DAMAGE = {
+    "no room": OSError(errno.ENOSPC, "No space left on device"),
+    "no answer": OSError(errno.EIO, "Input/output error"),
+    "no memory": MemoryError(),
+    "no memory for torch": RuntimeError("DefaultCPUAllocator: can't allocate memory"),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "when"),
+    [
+        *((kind, "restoring") for kind in NOT_DAMAGE),
+        *((kind, "reading") for kind in NOT_DAMAGE if kind != "no memory for torch"),
+    ],
+)
+def test_what_the_machine_is_to_blame_for_is_no_damage(kind, when, saved, monkeypatch):
+    before = {path.name: path.read_bytes() for path in saved.iterdir()}
+
+    def fail(*args):
+        raise NOT_DAMAGE[kind]
+
+    state = State()
+    with monkeypatch.context() as patch:
+        if when == "reading":
+            patch.setattr(checkpoint_file, "state_of", fail)
+        else:
+            patch.setattr(state, "load_state_dict", fail)
+        with pytest.raises((OSError, MemoryError)) as told:
+            checkpoints_of(saved, state).load_latest()
+    assert "damaged" not in str(told.value)
+    if when == "reading":
+        assert "checkpoint-000000000020" in str(told.value)
+    assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
+    assert checkpoints_of(saved, state).load_latest()
+    assert state.content["step"] == 20
+
+
+def test_nothing_is_unpacked_to_a_disk(saved, monkeypatch, tmp_path):
+    """A folder for temporary files that is missing or full does no harm."""
+    nowhere = str(tmp_path / "nowhere")
+    monkeypatch.setenv("TMPDIR", nowhere)
+    monkeypatch.setattr("tempfile.tempdir", nowhere)
+    state = State()
+    assert checkpoints_of(saved, state).load_latest()
+    assert state.content["step"] == 20
+
+
+# Crafted files
+
+
+def zip_bomb(path):
+    """Small files that say of themselves that they are large."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("manifest.json", "components/0000-training/state.safetensors"):
+            with archive.open(name, "w", force_zip64=True) as file:
+                for _ in range(256):
+                    file.write(bytes(2**20))
+
+
+def bomb_behind_a_manifest(path):
+    record = {"adapter": "gdrl_torchrl.safetensors", "path": "components/0000-training"}
+    manifest = {"metadata": IDENTITY, "components": {"training": record}}
+    zip_bomb(path)
+    with zipfile.ZipFile(path, "a") as archive, contextlib.suppress(UserWarning):
+        archive.writestr("manifest.json", json.dumps(manifest))
+
+
+def sparse(path):
+    path.touch()
+    os.truncate(path, 6 * 2**30)
+
+
+def sparse_with_a_long_list(path):
+    """An archive whose list of members is said to fill the file."""
+    size = 6 * 2**30
+    end = b"PK\x05\x06" + bytes(4) + b"\1\0\1\0" + (2**32 - 2).to_bytes(4, "little")
+    sparse(path)
+    with path.open("r+b") as file:
+        file.seek(size - 22)
+        file.write(end + (0).to_bytes(4, "little") + bytes(2))
+
+
+def state_that_says_it_is_large(path):
+    with zipfile.ZipFile(path, "w") as archive:
+        record = {"adapter": "gdrl_torchrl.safetensors", "path": "x"}
+        manifest = {"metadata": IDENTITY, "components": {"training": record}}
+        archive.writestr("manifest.json", json.dumps(manifest))
+        header = json.dumps(
+            {"0": {"dtype": "F64", "shape": [2**33], "data_offsets": [0, 2**36]}}
+        ).encode()
+        archive.writestr("x/state.safetensors", len(header).to_bytes(8, "little") + header)
+
+
+CRAFTED = {
+    "pipe": os.mkfifo,
+    "folder": os.mkdir,
+    "zip bomb": zip_bomb,
+    "bomb behind a manifest": bomb_behind_a_manifest,
+    "sparse": sparse,
+    "sparse with a long list": sparse_with_a_long_list,
+    "a large state": state_that_says_it_is_large,
+}
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize("kind", CRAFTED)
+def test_a_crafted_checkpoint_takes_neither_memory_nor_time(kind, saved):
+    crafted = saved / "checkpoint-000000000099.torchrl"
+    CRAFTED[kind](crafted)
+    state = State()
+    tracemalloc.start()
+    try:
+        assert checkpoints_of(saved, state).load_latest()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert state.content["step"] == 20
+    assert most < 64 * 2**20
+    assert f"refused-{crafted.name}" in names_in(saved)
+
+
+def test_a_checkpoint_larger_than_what_is_free_is_refused_before_it_is_read(
+    saved, monkeypatch
+):
+    monkeypatch.setattr(checkpoint_file, "_free_memory", lambda: 1000)
+    with pytest.raises(MemoryError, match=r"checkpoint-000000000020.*are free"):
+        checkpoints_of(saved, State()).load_latest()
+    assert len(names_in(saved)) == 2

@@ -24,7 +24,7 @@ from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.config.algorithms import ALGORITHMS, algorithm_configs
 from gdrl_torchrl.config.evolution import EVOLUTIONS, ErlConfig
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
+from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig, NetworkConfig
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.training.build import build_training
@@ -206,6 +206,8 @@ GA = "experiment=ga_water"
         "task.goal_tolerance_m=2.5 task.goal_distance_m=[2.0,6.0]",
         "task.control_interval_s=0.3 task.substep_s=0.04",
         "budget.agent_steps=null",
+        "network.actor_cells=[4096,4096] evolution.num_children=17",
+        f"{GA} network.actor_cells=[4096,4096] algorithm.population_size=21",
     ],
 )
 def test_fields_that_exclude_each_other_are_named_together(overrides):
@@ -216,6 +218,14 @@ def test_fields_that_exclude_each_other_are_named_together(overrides):
     for name, value in re.findall(r"\w+\.(\w+)=(\S+)", overrides):
         assert name in said
         assert all(number in said for number in re.findall(r"[\d.]+", value)), said
+
+
+@pytest.mark.parametrize("name", ["actor_cells", "critic_cells"])
+def test_widths_that_are_large_together_are_refused(name):
+    assert NetworkConfig(**{name: [16_384]})
+    with pytest.raises(ValueError, match="must have at most 16777216 weights") as refused:
+        NetworkConfig(**{name: [16_384] * 3})
+    assert f"network.{name}=[16384, 16384, 16384]" in str(refused.value)
 
 
 def test_an_experiment_needs_a_task_and_an_algorithm():

@@ -17,25 +17,8 @@ from gdrl_torchrl.cli.evaluate import evaluate_run
 from gdrl_torchrl.training.run import run_experiment
 from gdrl_torchrl.training.run_directory import RunDirectoryError
 
-SIZE_KB = 4096
 ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
 """Room that a run finds: for nothing at all, up to most of it."""
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A folder on a file system of four megabytes."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE_KB}k", "tmpfs", str(folder)]
-    try:
-        mounted = subprocess.run(command, capture_output=True, text=True, check=False)
-    except OSError as error:
-        pytest.skip(f"a small file system cannot be mounted here: {error}")
-    if mounted.returncode:
-        pytest.skip(f"a small file system cannot be mounted here: {mounted.stderr}")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 @pytest.fixture
@@ -51,15 +34,8 @@ def run_on(options_of, monkeypatch):
     return run
 
 
-def leave_room(disk, kilobytes):
-    """Fill a file system until there is room for so much; the file that fills it."""
-    filler = disk / "filler"
-    filler.write_bytes(bytes(shutil.disk_usage(disk).free - 1024 * kilobytes))
-    return filler
-
-
 def test_a_full_disk_is_named_and_nothing_that_was_saved_is_lost(
-    small_disk, run_on, tmp_path, rows_of, evaluation_of
+    small_disk, leave_room, run_on, tmp_path, rows_of, evaluation_of
 ):
     whole = run_on(tmp_path / "whole")
     refused = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import os
 
 import numpy as np
 import pytest
@@ -254,6 +255,9 @@ def test_worlds_that_diverge_are_counted_and_some_can_be_replayed(
     assert printed["overrides"] == ["task.step_limit=30"]
 
 
+STEP = {"before": {}, "action": [0.0]}
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -265,9 +269,19 @@ def test_worlds_that_diverge_are_counted_and_some_can_be_replayed(
         (["unknown"], "kind='cake' must be one of"),
         (["world"], "world is damaged"),
         (["update", "task.sea=calm"], "an update has no task"),
+        (["foreign"], r"must hold no \$"),
+        (["pipe"], "pipe is not a file"),
+        (["sparse"], "sparse has 6442450944 bytes, the most are"),
+        (["folder"], "folder is not a file"),
     ],
 )
 def test_what_cannot_be_replayed_is_said(arguments, message, tmp_path, capsys, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "sparse").touch()
+    os.truncate(tmp_path / "sparse", 6 * 2**30)
+    task = {"name": "water", "sea": "${oc.env:HOME}"}
+    write_state(tmp_path / "foreign", {"kind": "diverged_world", "task": task} | STEP)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text").write_text("no safetensors")
     write_state(tmp_path / "other", [1, 2])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gdrl_torchrl import safe_files
 from gdrl_torchrl.training.run_directory import (
     MetricsTable,
     RunDirectory,
@@ -140,6 +142,23 @@ def test_a_damaged_file_is_named(tiny):
         (directory.path / "provenance.json").write_text('{"code": ')
         with pytest.raises(RunDirectoryError, match=r"provenance\.json"):
             directory.open(tiny())
+
+
+@pytest.mark.parametrize("name", ["provenance.json", "metrics.csv"])
+def test_a_file_that_the_system_cannot_read_is_not_to_be_removed(name, tiny, monkeypatch):
+    directory = RunDirectory.of(tiny())
+    directory.path.mkdir(parents=True)
+    (directory.path / name).write_text("{}")
+    table = MetricsTable(directory.metrics, COLUMNS)
+
+    def refuse(path):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(safe_files, "open_to_read", refuse)
+    with pytest.raises((OSError, RunDirectoryError), match=f"{name}.*output error") as told:
+        directory.read_json(name) if "json" in name else table.cut_after(0)
+    for word in ("damaged", "remove", "move it"):
+        assert word not in str(told.value)
 
 
 def test_files_are_written_whole(tiny):
