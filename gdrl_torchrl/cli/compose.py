@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import threading
 from typing import Any
@@ -101,9 +102,9 @@ def composed(name: str, overrides: list[str]) -> DictConfig:
     register_configs()
     # Hydra has one configuration per process, whatever the threads.
     with _COMPOSING:
-        others, version_base = GlobalHydra.instance().hydra, VersionBase.instance()
+        others = GlobalHydra.instance().hydra
+        version_base = copy.copy(VersionBase.instance())
         GlobalHydra.instance().clear()
-        VersionBase.set_instance(VersionBase())
         try:
             with initialize_config_module(CONFIG_MODULE, version_base="1.3"):
                 return compose(name, overrides=[*search_path(), *overrides])
