@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import json
 import threading
@@ -100,9 +101,9 @@ def composed(name: str, overrides: list[str]) -> DictConfig:
     register_configs()
     # Hydra has one configuration per process, whatever the threads.
     with _COMPOSING:
-        others, version_base = GlobalHydra.instance().hydra, VersionBase.instance()
+        others = GlobalHydra.instance().hydra
+        version_base = copy.copy(VersionBase.instance())
         GlobalHydra.instance().clear()
-        VersionBase.set_instance(VersionBase())
         try:
             with (
                 explained(overrides),
