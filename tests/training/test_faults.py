@@ -213,9 +213,9 @@ def test_worlds_that_diverge_are_counted_and_some_can_be_replayed(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "usage"),
-        (["one", "two"], "usage"),
-        (["missing"], "missing is not a file"),
+        ([], "one file must be given"),
+        (["one", "two"], "one two: one file must be given"),
+        (["missing"], "missing must be a file"),
         (["text"], "text is damaged"),
         (["other"], "other is not a file about a fault"),
         (["unknown"], "kind='cake' must be one of"),
