@@ -162,7 +162,7 @@ def _check(arguments: Sequence[str]) -> None:
             if owner_of(name.strip("-")) or names_in(name.strip("-")):
                 fail(f"{argument} must be written {given}")
             fail(f"{argument} must be a switch that exists: see gdrl-train --help")
-    if not any(argument.startswith("-") for argument in arguments):
+    if not any(argument.startswith(("-", "hydra.mode=")) for argument in arguments):
         for argument in arguments:
             if argument.startswith("+sweep="):
                 fail(f"{argument} must come after -m: gdrl-train -m {' '.join(arguments)}")

@@ -88,6 +88,7 @@ OTHERS = {
     "gdrl-train sweep=trials": "must be written +sweep=trials, after -m",
     "gdrl-train +experiment=gppo_water": "must be given once, without +",
     "gdrl-train task=null": "task=null must be one of indoor, water",
+    "gdrl-train evaluation=3": "must be given by its options, such as evaluation.<option>",
     "gdrl-train algorithm=dqn": "algorithm=dqn must be one of ga, ppo, rainbow",
     "gdrl-train --fast": "must be a switch that exists: see gdrl-train --help",
     "gdrl-train --help task=mars": "must be task=indoor|water",
