@@ -35,6 +35,7 @@ from gdrl_torchrl.cli.errors import (
 from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in
 from gdrl_torchrl.config.options import owner_of
 from gdrl_torchrl.config.relations import make_task_of
+from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
 
 _OPTIONS_OF_HYDRA = (
     "--cfg",
@@ -62,15 +63,20 @@ def _train(config: DictConfig) -> float:
         check_known_to_hydra(hydra_config)
         if in_sweep:
             check_launcher(hydra_config.launcher["_target_"])
-        path = _run_job(config, hydra_config.overrides.task, in_sweep=in_sweep)
-        sweep.note(path)
-        return float(read_evaluation(path)["success_rate"]) if path else math.nan
+        path = _run_job(config, hydra_config.overrides.task)
+        sweep.note(path=str(path))
+        return float(read_evaluation(path)["success_rate"])
+    except RunInUseError as error:
+        if not in_sweep:
+            fail(error)
+        sweep.note(skipped=f"{error.path} runs elsewhere")
+        return math.nan
     except ValueError as error:
         if not in_sweep:
             fail(error)
         # Not raised: Hydra would print where, and end the sweep's report.
-        overrides = " ".join(hydra_config.overrides.task)
-        sweep.note(None, f"job {hydra_config.job.num} ({overrides}): {one_line(error)}")
+        given = " ".join(hydra_config.overrides.task)
+        sweep.note(error=f"job {hydra_config.job.num} ({given}): {one_line(error)}")
         return math.nan
 
 
@@ -88,10 +94,8 @@ def check_launcher(target: str) -> None:
         )
 
 
-def _run_job(
-    config: DictConfig, overrides: Sequence[str], *, in_sweep: bool
-) -> Path | None:
-    """The run directory; None if another process runs it, which a sweep passes over."""
+def _run_job(config: DictConfig, overrides: Sequence[str]) -> Path:
+    """Bring a run to its end; its directory."""
     experiment = to_experiment(config)
     for name in ("absl", "OpenGL"):
         logging.getLogger(name).setLevel(logging.WARNING)
@@ -102,7 +106,6 @@ def _run_job(
         TrainingDivergedError,
         run_experiment,
     )
-    from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
     from gdrl_torchrl.training.worker import WorkerDiedError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
@@ -114,11 +117,8 @@ def _run_job(
         # Not an error of this job: it ends a sweep too.
         print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
-    except RunInUseError as error:
-        if not in_sweep:
-            raise ValueError(str(error)) from error
-        print(f"skipped: {error.path} runs elsewhere", file=sys.stderr)
-        return None
+    except RunInUseError:
+        raise
     except (RunDirectoryError, TrainingDivergedError, WorkerDiedError) as error:
         raise ValueError(str(error)) from error
 

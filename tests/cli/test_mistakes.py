@@ -103,6 +103,7 @@ OTHERS = {
     "gdrl-search +search=gpo_water": "did you mean +search=gppo_water?",
     "gdrl-search +search=gppo_water task.see=calm": "did you mean task.sea?",
     "gdrl-search +search=gppo_water search.num_trials=1e1": "write 10",
+    "gdrl-search +search=gppo_water search.name=../../x": "must be a folder's name",
     "gdrl-runs --all": "see gdrl-runs --help",
 }
 

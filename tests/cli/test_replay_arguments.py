@@ -22,7 +22,7 @@ def file_of(tmp_path):
 
 @pytest.mark.parametrize("kind", [["update"], {"a": 1}, 3, None, "other"])
 def test_a_kind_that_is_none_is_named(kind, file_of):
-    with pytest.raises(ValueError, match="kind=.* must be one of") as refused:
+    with pytest.raises(ValueError, match=r"kind=.* must be one of") as refused:
         replay(file_of(WORLD | {"kind": kind}), [])
     assert str(refused.value).count("\n") == 0
 
