@@ -50,9 +50,12 @@ def test_its_operator_algorithm_and_task_train_together(command):
     trained = command("train", "experiment=a2c_pond", "toy=true")
     assert trained.returncode == 0, trained.stderr
     run = trained.stdout.split()[-1]
-    assert "a2c_pond/pond/cauchy_a2c" in run
+    assert run.startswith("runs/a2c_pond/")
     listed = command("runs", "runs", "evolution.mutation=cauchy")
     assert listed.stdout.splitlines()[1].startswith("done")
+    assert " cauchy_a2c " in listed.stdout
+    helped = command("train", "--help", "task=pond", "algorithm=a2c")
+    assert "task.width_m=" in helped.stdout, helped.stderr
     evaluated = command("evaluate", f"run={run}", "episodes=4", "task.width_m=6.0")
     assert evaluated.returncode == 0, evaluated.stderr
     assert json.loads(evaluated.stdout)["episodes"] == 4

@@ -83,14 +83,15 @@ class Search:
 
     Args:
         config: The search.
-        run: Brings a run to its end and returns its directory.
+        run: Brings a run of a configuration and the overrides that it was made of to its
+            end, and returns its directory.
 
     Raises:
         ValueError: If a parameter has nothing to choose from, a run cannot be composed,
             or is one of toy size.
     """
 
-    def __init__(self, config: SearchConfig, run: Callable[[Any], Path]) -> None:
+    def __init__(self, config: SearchConfig, run: Callable[[Any, list[str]], Path]) -> None:
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -102,7 +103,9 @@ class Search:
             if not param.is_sweep_override():
                 text = f"search.params: {param.input_line} has nothing to choose from"
                 raise ValueError(text)
-        example = self._experiment([], config.seeds[0], config.total_steps[0])
+        example = load_experiment(
+            self._overrides([], config.seeds[0], config.total_steps[0])
+        )
         if example.toy:
             text = "toy=true takes sizes of its own, whatever a trial has chosen"
             raise ValueError(text)
@@ -203,31 +206,30 @@ class Search:
         """A run of a trial; what its settings are to blame for becomes one error."""
         from gdrl_torchrl.training.run import TrainingDivergedError
 
+        overrides = self._overrides(chosen, seed, budget)
         try:
-            return self.run(self._experiment(chosen, seed, budget))
+            return self.run(load_experiment(overrides), overrides)
         # A file that the system cannot read is a ValueError too.
         except OSError:
             raise
         except (ValueError, TrainingDivergedError) as error:
             raise _SettingsError(f"{type(error).__name__}: {error}") from error
 
-    def _experiment(self, chosen: list[str], seed: int, budget: int) -> Any:
+    def _overrides(self, chosen: list[str], seed: int, budget: int) -> list[str]:
         config = self.config
-        return load_experiment(
-            [
-                *config.overrides,
-                *chosen,
-                f"name={config.name}",
-                f"seed={seed}",
-                "budget.agent_steps=null",
-                "budget.wall_s=null",
-                f"budget.total_steps={budget}",
-                f"evaluation.seed={config.evaluation_seed}",
-                f"evaluation.episodes={config.episodes}",
-                "logger.tensorboard=false",
-                "logger.video_episodes=0",
-            ]
-        )
+        return [
+            *config.overrides,
+            *chosen,
+            f"name={config.name}",
+            f"seed={seed}",
+            "budget.agent_steps=null",
+            "budget.wall_s=null",
+            f"budget.total_steps={budget}",
+            f"evaluation.seed={config.evaluation_seed}",
+            f"evaluation.episodes={config.episodes}",
+            "logger.tensorboard=false",
+            "logger.video_episodes=0",
+        ]
 
     def _take_up_abandoned(self) -> int:
         """Queue the trials again whose process is no more; their runs will go on.

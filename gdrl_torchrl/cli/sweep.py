@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import uuid
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +25,21 @@ failed: list[str] = []
 _job: SweepReport | None = None
 
 
-def note(path: Path | None, error: str | None = None) -> None:
-    """Tell of a job of a sweep: its run directory, or what ended it."""
+def note(**told: str) -> None:
+    """Tell of a job of a sweep: its ``path``, that it was ``skipped``, or its ``error``."""
     if _job is None or os.getpid() == _job.process:
-        _tell(path and str(path), error)
+        _tell(told)
     else:
-        _job.write(path, error)
+        _job.write(told)
 
 
-def _tell(path: str | None, error: str | None) -> None:
-    if path:
-        print(path, flush=True)
-    if error:
-        failed.append(error)
-        print(f"error: {error}", file=sys.stderr, flush=True)
+def _tell(told: Mapping[str, str]) -> None:
+    if "path" in told:
+        print(told["path"], flush=True)
+    for kind in told.keys() & {"skipped", "error"}:
+        print(f"{kind}: {told[kind]}", file=sys.stderr, flush=True)
+    if "error" in told:
+        failed.append(told["error"])
 
 
 class SweepReport(Callback):
@@ -70,16 +72,15 @@ class SweepReport(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Tell what the jobs of other processes have told."""
         for file in sorted(self.folder.glob("*.json")):
-            _tell(**json.loads(file.read_text()))
+            _tell(json.loads(file.read_text()))
         shutil.rmtree(self.folder, ignore_errors=True)
         with contextlib.suppress(OSError):
             # Unless another sweep of this folder is going on.
             self.folder.parent.rmdir()
 
-    def write(self, path: Path | None, error: str | None) -> None:
+    def write(self, told: Mapping[str, str]) -> None:
         """Leave what a job tells for the process that started the sweep."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        told = {"path": path and str(path), "error": error}
         file = self.folder / f"{self.number:06d}.json"
         partial = file.with_suffix(".partial")
         partial.write_text(json.dumps(told))

@@ -37,6 +37,7 @@ from gdrl_torchrl.cli.errors import (
 from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in
 from gdrl_torchrl.config.options import owner_of
 from gdrl_torchrl.config.relations import make_task_of
+from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
 
 _OPTIONS_OF_HYDRA = (
     "--cfg",
@@ -65,16 +66,20 @@ def _train(config: DictConfig) -> float:
         if in_sweep:
             check_launcher(hydra_config.launcher["_target_"])
         started_in = Path(hydra_config.runtime.cwd)
-        overrides = hydra_config.overrides.task
-        path = _run_job(config, overrides, started_in, in_sweep=in_sweep)
-        sweep.note(path)
-        return float(read_evaluation(path)["success_rate"]) if path else math.nan
+        path = _run_job(config, hydra_config.overrides.task, started_in, in_sweep=in_sweep)
+        sweep.note(path=str(path))
+        return float(read_evaluation(path)["success_rate"])
+    except RunInUseError as error:
+        if not in_sweep:
+            fail(error)
+        sweep.note(skipped=f"{error.path} runs elsewhere")
+        return math.nan
     except ValueError as error:
         if not in_sweep:
             fail(error)
         # Not raised: Hydra would print where, and end the sweep's report.
-        overrides = " ".join(hydra_config.overrides.task)
-        sweep.note(None, f"job {hydra_config.job.num} ({overrides}): {one_line(error)}")
+        given = " ".join(hydra_config.overrides.task)
+        sweep.note(error=f"job {hydra_config.job.num} ({given}): {one_line(error)}")
         return math.nan
 
 
@@ -94,8 +99,8 @@ def check_launcher(target: str) -> None:
 
 def _run_job(
     config: DictConfig, overrides: Sequence[str], started_in: Path, *, in_sweep: bool
-) -> Path | None:
-    """The run directory; None if another process runs it, which a sweep passes over."""
+) -> Path:
+    """Bring a job's run to its end; its directory."""
     experiment = to_experiment(config)
     for name in ("absl", "OpenGL"):
         logging.getLogger(name).setLevel(logging.WARNING)
@@ -110,7 +115,6 @@ def _run_job(
         TrainingDivergedError,
         run_experiment,
     )
-    from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
     from gdrl_torchrl.training.worker import WorkerDiedError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
@@ -126,11 +130,8 @@ def _run_job(
         with contextlib.suppress(OSError):
             print(stop, file=sys.stderr)
         sys.exit(EXIT_SAVED)
-    except RunInUseError as error:
-        if not in_sweep:
-            raise ValueError(str(error)) from error
-        print(f"skipped: {error.path} runs elsewhere", file=sys.stderr)
-        return None
+    except RunInUseError:
+        raise
     except (RunDirectoryError, TrainingDivergedError, WorkerDiedError) as error:
         raise ValueError(str(error)) from error
 
@@ -174,7 +175,7 @@ def _check(arguments: Sequence[str]) -> None:
             if owner_of(name.strip("-")) or names_in(name.strip("-")):
                 fail(f"{argument} must be written {given}")
             fail(f"{argument} must be a switch that exists: see gdrl-train --help")
-    if not any(argument.startswith("-") for argument in arguments):
+    if not any(argument.startswith(("-", "hydra.mode=")) for argument in arguments):
         for argument in arguments:
             if argument.startswith("+sweep="):
                 fail(f"{argument} must come after -m: gdrl-train -m {' '.join(arguments)}")

@@ -95,6 +95,8 @@ def wrong_type(given: str, name: str, owner: type | None = None) -> str:
         owner = owner_of(plain)
     if owner is None:
         return f"{given} must be of another type"
+    if field in dict(section_classes()):
+        return f"{given} must be given by its options, such as {name}.<option>=<value>"
     must = described(owner, field)
     number = _as_whole(given.partition("=")[2])
     written = f": write {number:_}" if number and must.startswith("a whole") else ""

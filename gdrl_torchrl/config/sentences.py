@@ -22,9 +22,13 @@ def sentences_of(owner: type) -> dict[str, str]:
         >>> sentences_of(EvaluationConfig)["episodes"]
         'Held-out episodes.'
     """
-    (body,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
-    assert isinstance(body, ast.ClassDef)
     found = {field.name: "" for field in dataclasses.fields(owner)}
+    try:
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    except (OSError, TypeError, SyntaxError, ValueError):
+        # Another package's may come without its source.
+        return found
+    assert isinstance(body, ast.ClassDef)
     for before, after in zip(body.body, body.body[1:], strict=False):
         if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name):
             match after:

@@ -20,9 +20,14 @@ from gdrl_torchrl.safe_files import aside_of, locked, open_own, written_aside
 from gdrl_torchrl.training.provenance import RUN_VERSION, differing_packages, provenance
 
 _logger = logging.getLogger(__name__)
+_VERSIONS = Kind(
+    "an object of texts",
+    lambda x: isinstance(x, dict) and all(map(TEXT.fits, [*x.keys(), *x.values()])),
+)
 _FIELDS: Mapping[str, Mapping[str, Kind]] = {
-    "provenance.json": {"code": TEXT, "packages": OBJECT},
+    "provenance.json": {"code": TEXT, "packages": _VERSIONS},
     "DONE": {
+        "code": TEXT,
         "costs.agent_steps": COUNT,
         "costs.total_steps": COUNT,
         "costs.wall_s": SECONDS,
@@ -30,8 +35,8 @@ _FIELDS: Mapping[str, Mapping[str, Kind]] = {
     },
 }
 """What is read of files."""
-_VERSION = {"version": COUNT}
-"""Those of before there were versions have none."""
+_OF_LATER = {"version": COUNT, "before": Kind("a list", lambda x: isinstance(x, list))}
+"""What files of before there were versions do not have."""
 _WRITTEN = (
     *_FIELDS,
     "FAILED",
@@ -126,7 +131,7 @@ class RunDirectory:
         if not path.exists():
             return None
         try:
-            return read_object(path, _FIELDS.get(name, {}), _VERSION)
+            return read_object(path, _FIELDS.get(name, {}), _OF_LATER)
         except OSError as error:
             # It may well be whole.
             raise RunDirectoryError(str(error)) from error

@@ -88,6 +88,7 @@ OTHERS = {
     "gdrl-train sweep=trials": "must be written +sweep=trials, after -m",
     "gdrl-train +experiment=gppo_water": "must be given once, without +",
     "gdrl-train task=null": "task=null must be one of indoor, water",
+    "gdrl-train evaluation=3": "must be given by its options, such as evaluation.<option>",
     "gdrl-train algorithm=dqn": "algorithm=dqn must be one of ga, ppo, rainbow",
     "gdrl-train --fast": "must be a switch that exists: see gdrl-train --help",
     "gdrl-train --help task=mars": "must be task=indoor|water",
@@ -102,6 +103,7 @@ OTHERS = {
     "gdrl-search +search=gpo_water": "did you mean +search=gppo_water?",
     "gdrl-search +search=gppo_water task.see=calm": "did you mean task.sea?",
     "gdrl-search +search=gppo_water search.num_trials=1e1": "write 10",
+    "gdrl-search +search=gppo_water search.name=../../x": "must be a folder's name",
     "gdrl-runs --all": "see gdrl-runs --help",
 }
 

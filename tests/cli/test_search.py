@@ -47,7 +47,8 @@ class FakeRuns:
     def of_mutation(experiment):
         return 1.0 - abs(experiment.evolution.mut_v - BEST_MUT_V) - 0.01 * experiment.seed
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, overrides):
+        assert load_experiment(overrides) == experiment
         self.experiments.append(experiment)
         number = len(self.experiments)
         if number == self.stop_at:

@@ -316,7 +316,7 @@ TEXTS = ("task", "algorithm", "code")
 FIELDS = {
     "evaluation": ["task", "algorithm", "seed", "episodes", "success_rate", "wall_s"],
     "contract": ["params_sha256"],
-    "provenance": ["code"],
+    "provenance": ["code", "packages"],
     "done": ["code", "evaluation", "costs", "costs.total_steps", "costs.wall_s"],
 }
 SECTIONS = ("task", "algorithm", "network", "evaluation")

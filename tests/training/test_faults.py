@@ -261,9 +261,9 @@ STEP = {"before": {}, "action": [0.0]}
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "usage"),
-        (["one", "two"], "usage"),
-        (["missing"], "missing is not a file"),
+        ([], "one file must be given"),
+        (["one", "two"], "one two: one file must be given"),
+        (["missing"], "missing must be a file"),
         (["text"], "text is damaged"),
         (["other"], "other is not a file about a fault"),
         (["unknown"], "kind='cake' must be one of"),
