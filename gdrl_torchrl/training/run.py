@@ -22,6 +22,7 @@ from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
     flush_to_disk,
+    is_out_of_memory,
     saved_checkpoints,
     seed_everything,
 )
@@ -159,7 +160,9 @@ def _disk_errors_named(path: Path) -> Iterator[None]:
                 "command goes on from them"
             )
         raise RunDirectoryError(f"{path}: {error}{advice}") from error
-    except MemoryError as error:
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
         raise RunDirectoryError(
             f"{path}: there is not enough memory ({error or 'for what came next'}); "
             "checkpoints that were saved are whole: the same command goes on from them"
