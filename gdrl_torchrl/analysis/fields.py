@@ -13,8 +13,8 @@ from typing import Any
 
 from gdrl_torchrl.safe_files import read_content
 
-_MOST_BYTES = 2**28
-"""Of a text: a table of a million rows has half of that."""
+_MOST_BYTES = 2**30
+"""Of a text: a table of a million rows has some hundred million."""
 _MOST_BYTES_OF_OBJECT = 2**24
 _MOST_LEVELS = 32
 """Of lists and objects in each other; what a run writes has less than ten."""

@@ -142,8 +142,8 @@ class Search:
 
         # Others must neither count nor take up a trial before its process has locked it.
         with self._turn():
-            running = self._take_up_abandoned()
-            if len(self.finished()) + running >= self.config.num_trials:
+            finished, running = self._count()
+            if finished + running >= self.config.num_trials:
                 if running:
                     _logger.warning("%d trials still run in other processes", running)
                 return None
@@ -156,11 +156,7 @@ class Search:
 
     def finished(self) -> list[Any]:
         """Trials that have ended, by an error too, but not by a signal."""
-        return [
-            trial
-            for trial in self.study.get_trials(deepcopy=False)
-            if trial.state.is_finished() and (trial.value is not None or _error_of(trial))
-        ]
+        return list(filter(_has_ended, self.study.get_trials(deepcopy=False)))
 
     def best(self) -> Any:
         """The best trial with the largest budget, or None."""
@@ -231,23 +227,33 @@ class Search:
             "logger.video_episodes=0",
         ]
 
-    def _take_up_abandoned(self) -> int:
-        """Queue the trials again whose process is no more; their runs will go on.
+    def _count(self) -> tuple[int, int]:
+        """How many trials have ended, and how many run in other processes.
 
-        Returns:
-            How many trials run in other processes.
+        Those whose process is no more are queued again; their runs will go on.
         """
+        ended = running = 0
+        for trial in self.study.get_trials(deepcopy=False):
+            if trial.state.name == "RUNNING":
+                try:
+                    with self._locked(trial.number):
+                        # It may have ended since, and each counts once.
+                        ended += self._has_ended_or_is_taken_up(trial.number)
+                except BlockingIOError:
+                    running += 1
+            else:
+                ended += _has_ended(trial)
+        return ended, running
+
+    def _has_ended_or_is_taken_up(self, number: int) -> bool:
         from optuna.trial import TrialState
 
-        running = 0
-        for trial in self.study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            try:
-                with self._locked(trial.number):
-                    self.study.enqueue_trial(trial.params)
-                    self.study.tell(trial.number, state=TrialState.FAIL)
-            except BlockingIOError:
-                running += 1
-        return running
+        trial = self.study.get_trials(deepcopy=False)[number]
+        if trial.state == TrialState.RUNNING:
+            self.study.enqueue_trial(trial.params)
+            self.study.tell(number, state=TrialState.FAIL)
+            return False
+        return _has_ended(trial)
 
     def _turn(self) -> contextlib.AbstractContextManager[None]:
         """Wait until no other process is between looking at trials and taking one."""
@@ -293,6 +299,10 @@ def _storage(kind: str, folder: Path) -> Any:
         os.close(open_own(path, os.O_RDWR | os.O_CREAT))
         return f"sqlite:///{path.absolute()}"
     return JournalStorage(SearchJournal(folder / "search.journal"))
+
+
+def _has_ended(trial: Any) -> bool:
+    return trial.state.is_finished() and (trial.value is not None or bool(_error_of(trial)))
 
 
 def _error_of(trial: Any) -> str | None:

@@ -30,8 +30,6 @@ _logger = logging.getLogger(__name__)
 _SAVED = re.compile(r"checkpoint-\d{12,}\.torchrl")
 # TorchRL's names too, while it writes one.
 _UNFINISHED = re.compile(r"\.+checkpoint-\d+\.torchrl(\..*)?")
-_OUT_OF_MEMORY = "can't allocate memory"
-"""In what torch raises, a RuntimeError as any other."""
 
 
 class TrainingState:
@@ -184,7 +182,7 @@ class Checkpoints:
             raise
         # Its checksums were right: it is of other parts than those that are here.
         except Exception as error:
-            if _OUT_OF_MEMORY in str(error):
+            if is_out_of_memory(error):
                 raise MemoryError(f"{path} cannot be restored: {error}") from error
             raise CheckpointError(f"it does not fit: {error!r}") from error
 
@@ -200,6 +198,18 @@ class Checkpoints:
             if _UNFINISHED.fullmatch(path.name):
                 is_folder = path.is_dir() and not path.is_symlink()
                 shutil.rmtree(path) if is_folder else path.unlink()
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether there was not enough memory; torch's error is a RuntimeError like others.
+
+    Examples:
+        >>> is_out_of_memory(RuntimeError("DefaultCPUAllocator: can't allocate memory"))
+        True
+        >>> is_out_of_memory(RuntimeError("shapes differ"))
+        False
+    """
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error)
 
 
 def saved_checkpoints(folder: Path) -> list[Path]:

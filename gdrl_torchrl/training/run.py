@@ -23,6 +23,7 @@ from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
     flush_to_disk,
+    is_out_of_memory,
     saved_checkpoints,
     seed_everything,
 )
@@ -214,7 +215,9 @@ def _disk_errors_named(path: Path) -> Iterator[None]:
         advice = _ADVICE.get(error.errno or 0)
         text = f"{path}: {error}" + (f"; {advice}" if advice else "")
         raise RunDirectoryError(text) from error
-    except MemoryError as error:
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
         raise RunDirectoryError(
             f"{path}: there is not enough memory ({error or 'for what came next'}); "
             "checkpoints that were saved are whole: the same command goes on from them"

@@ -193,7 +193,12 @@ class RunDirectory:
             RunDirectoryError: If another process holds it, or it is no file.
             OSError: If it cannot be opened, or is a link.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise RunDirectoryError(
+                f"{self.path} is not a folder: remove it, or mount what it leads to"
+            ) from error
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(locked(self.path / ".lock"))

@@ -284,7 +284,7 @@ def test_a_search_writes_through_no_link(tmp_path, storage):
     outside.write_text("mine")
     folder = tmp_path / "runs" / "search"
     folder.mkdir(parents=True)
-    for name in (f"search.{storage}", ".search.lock", ".trial_0.lock"):
+    for name in (".search.lock", f"search.{storage}", ".trial_0.lock"):
         (folder / name).symlink_to(outside)
         with pytest.raises(OSError, match="is a link"):
             search_of(tmp_path, storage=storage)[0].optimize()

@@ -135,6 +135,15 @@ def test_a_failure_inside_frees_the_lock(tiny):
         pass
 
 
+def test_a_run_directory_that_is_no_folder_is_named(tiny, tmp_path):
+    directory = RunDirectory.of(tiny())
+    directory.path.parent.mkdir(parents=True)
+    # As of a disk that is not mounted.
+    directory.path.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(RunDirectoryError, match="seed_0 is not a folder"):
+        directory.locked().__enter__()
+
+
 def test_a_damaged_file_is_named(tiny):
     directory = RunDirectory.of(tiny())
     with directory.locked():
