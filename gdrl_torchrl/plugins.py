@@ -13,6 +13,8 @@ from typing import Any
 
 from gdrl_tasks.plugins import Offers, offers_of
 
+__all__ = ["Offers", "conf_packages", "with_plugins"]
+
 
 def with_plugins(
     own: Mapping[str, Any], group: str, *, needs: tuple[str, ...] = ()

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from gdrl_tasks.plugins import Offers
 from gdrl_torchrl.config.checks import (
     MOST_WORLDS,
     among,
@@ -15,7 +14,7 @@ from gdrl_torchrl.config.checks import (
     check_fields,
     within,
 )
-from gdrl_torchrl.plugins import with_plugins
+from gdrl_torchrl.plugins import Offers, with_plugins
 
 
 @dataclasses.dataclass
