@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import errno
 import logging
-import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,9 +21,12 @@ from gdrl_torchrl.training.checkpoint import (
     Checkpoints,
     TrainingState,
     flush_to_disk,
-    is_out_of_memory,
-    saved_checkpoints,
     seed_everything,
+)
+from gdrl_torchrl.training.errors import (
+    InterruptedRunError,
+    TrainingDivergedError,
+    system_errors_named,
 )
 from gdrl_torchrl.training.evaluate import (
     evaluate_policy,
@@ -56,65 +57,6 @@ from gdrl_torchrl.training.worker import WorkerDiedError
 
 _logger = logging.getLogger(__name__)
 _TRAJECTORIES_DRAWN = 60
-_GO_ON = (
-    "checkpoints that were saved are whole: {0}, and the same command goes on from them"
-)
-_ADVICE = {
-    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _GO_ON.format("free some space")),
-    errno.EFBIG: _GO_ON.format("allow larger files (ulimit -f)"),
-    **dict.fromkeys(
-        (errno.EMFILE, errno.ENFILE), _GO_ON.format("allow more open files (ulimit -n)")
-    ),
-    **dict.fromkeys(
-        (errno.ENOENT, errno.ESTALE, errno.ENOTCONN),
-        "was something removed, or a disk taken away, while it ran? The same command goes "
-        "on from the checkpoints that are left",
-    ),
-}
-
-
-class InterruptedRunError(RuntimeError):
-    """A signal ended a run; it was saved and can be resumed.
-
-    Its cause is the error, if there was one, of who else had a handler for the signal, as
-    job systems have.
-
-    Attributes:
-        signal: The signal.
-        path: The run directory.
-    """
-
-    def __init__(self, number: signal.Signals, path: Path, answer: str = "") -> None:
-        super().__init__(
-            f"stopped by {number.name} and saved: the same command goes on with {path}"
-            + answer
-        )
-        self.signal = number
-        self.path = path
-
-
-class TrainingDivergedError(RuntimeError):
-    """What the task gave, or a loss, gradient or parameter, was not finite; that ended it.
-
-    Attributes:
-        path: The run directory.
-        batch: File with the minibatch, or a world's steps of a batch, if one was written.
-        checkpoint: The last checkpoint, from before; None if there was none yet.
-    """
-
-    def __init__(
-        self,
-        error: NonFiniteUpdateError | NonFiniteBatchError,
-        directory: RunDirectory,
-        batch: Path | None,
-    ) -> None:
-        saved = saved_checkpoints(directory.checkpoints)
-        self.path, self.batch = directory.path, batch
-        self.checkpoint = saved[-1] if saved else None
-        super().__init__(
-            f"{directory.path}: {error}; its batch: {batch or 'not kept'}; last good "
-            f"checkpoint: {self.checkpoint or 'none yet'}. {error.advice}"
-        )
 
 
 def run_experiment(config: ExperimentConfig, overrides: Sequence[str] = ()) -> Path:
@@ -129,16 +71,17 @@ def run_experiment(config: ExperimentConfig, overrides: Sequence[str] = ()) -> P
 
     Raises:
         ValueError: If the configuration is not valid.
-        RunDirectoryError: If the directory cannot be used, or the disk is full.
-        InterruptedRunError: If a signal stopped training.
-        TrainingDivergedError: If something in an update was not finite.
+        RunDirectoryError: If the directory cannot be used, the disk is full, or the system
+            refuses something else.
+        InterruptedRunError: If a signal stopped it.
+        TrainingDivergedError: If something in a batch or an update was not finite.
         WorkerDiedError: If a process that collects was killed.
     """
     # What is wrong is said before anything is written.
     make_task_of(config)
     directory = RunDirectory.of(config)
     signals = StopSignals()
-    with _disk_errors_named(directory.path):
+    with system_errors_named(directory.path):
         # Without the lock, which is a file: the disk may be one that is only read.
         if _is_complete(directory, config):
             _logger.info("already complete: %s", directory.path)
@@ -204,24 +147,6 @@ def _bring_to_its_end(
     if signals.received:
         # Or a sweep would go on as if there had been none.
         raise StoppedError
-
-
-@contextlib.contextmanager
-def _disk_errors_named(path: Path) -> Iterator[None]:
-    """Let errors of the disk say which run they are about, and what to do."""
-    try:
-        yield
-    except OSError as error:
-        advice = _ADVICE.get(error.errno or 0)
-        text = f"{path}: {error}" + (f"; {advice}" if advice else "")
-        raise RunDirectoryError(text) from error
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        raise RunDirectoryError(
-            f"{path}: there is not enough memory ({error or 'for what came next'}); "
-            "checkpoints that were saved are whole: the same command goes on from them"
-        ) from error
 
 
 def _run(
