@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -66,3 +67,20 @@ def test_a_mistake_is_told_in_a_line(module, arguments, said):
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ")
     assert said in line
+
+
+@pytest.mark.slow
+def test_a_film_is_made_of_a_run_with_a_line_of_progress(tmp_path):
+    small = ("evaluation.episodes=2", "budget.total_steps=600", f"runs_dir={tmp_path}")
+    trained = command("train", "experiment=gppo_water", "toy=true", *small)
+    assert trained.returncode == 0, trained.stderr
+    run = Path(trained.stdout.split()[-1])
+    assert not (run / "videos").exists()
+    options = ("episodes=1", "seconds=0.4", "task.step_limit=8")
+    done = command("video", f"run={run}", *options, MUJOCO_GL="off")
+    assert done.returncode == 0, done.stderr
+    film = run / "videos" / "episodes.mp4"
+    assert done.stdout.splitlines() == [str(film)]
+    assert film.stat().st_size > 1000
+    assert "frame" in done.stderr
+    assert "Traceback" not in done.stderr
