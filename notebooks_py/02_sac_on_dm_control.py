@@ -7,6 +7,7 @@
 # them by their return.
 
 # %%
+import logging
 import os
 import warnings
 
@@ -43,6 +44,7 @@ from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 FRAMES = int(os.environ.get("GDRL_FRAMES", 6_000))
 EPISODE_STEPS = 100
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer
 torch.set_num_threads(1)  # networks this small gain nothing from more
 torch.manual_seed(0)
 

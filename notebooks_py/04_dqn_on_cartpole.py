@@ -6,6 +6,7 @@
 # follow when one of them becomes the agent.
 
 # %%
+import logging
 import os
 import warnings
 
@@ -24,6 +25,7 @@ from gdrl_torchrl.training.genetic import GeneticHook
 from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 FRAMES = int(os.environ.get("GDRL_FRAMES", 10_000))
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer
 torch.set_num_threads(1)  # networks this small gain nothing from more
 torch.manual_seed(0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -59,6 +60,19 @@ def test_its_operator_algorithm_and_task_train_together(command):
     evaluated = command("evaluate", f"run={run}", "episodes=4", "task.width_m=6.0")
     assert evaluated.returncode == 0, evaluated.stderr
     assert json.loads(evaluated.stdout)["episodes"] == 4
+
+
+def test_the_commands_of_its_readme_train_one_run_each(command):
+    text = (ROOT / "examples" / "extending" / "README.md").read_text()
+    lines = re.findall(r"^gdrl-train (.+)$", text, re.MULTILINE)
+    assert len(lines) >= 2
+    runs = set()
+    for line in lines:
+        done = command("train", *line.split())
+        assert done.returncode == 0, done.stderr
+        assert "already complete" not in done.stderr
+        runs.add(done.stdout.split()[-1])
+    assert len(runs) == len(lines)
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,9 @@ def test_a_notebook_runs_from_anywhere(script, tmp_path):
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip()
+    # Libraries tell of their own doings in colours, which no reader has asked for.
+    assert "INFO" not in result.stdout + result.stderr
+    assert "\x1b" not in result.stdout + result.stderr
     assert not list(tmp_path.iterdir())
     if script.stem in TRAINING:
         last = result.stdout.splitlines()[-1]
