@@ -125,7 +125,7 @@ class ErlConfig:
     """Episodes that every member is scored on."""
     period_episodes: int = within(8, least=1, most=MOST_EPISODES)
     """Completed training episodes between generations: 2,000 over the 250 evaluations
-    that the seed reports."""
+    that AAMAS 2020 reports."""
     num_elites: int = within(2, least=1, most=MOST_WORLDS)
     tournament_size: int = within(3, least=1, most=1000)
     mutation_probability: float = within(0.9, least=0.0, most=1.0)

@@ -55,8 +55,8 @@ def n_point_crossover(
     """Cut each weight matrix at random points and take the pieces by turns.
 
     Every parameter of every pair of parents is cut at points of its own, in the order
-    of memory; which parent begins is random. The seed (Marchesini and Farinelli, AAMAS
-    2020) names it as future work, for agents that are alike.
+    of memory; which parent begins is random. Marchesini and Farinelli (AAMAS 2020)
+    name it as future work, for agents that are alike.
 
     Args:
         first: Genomes ``[P]``; leaves ``[P, *shape]``.
