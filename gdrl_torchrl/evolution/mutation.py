@@ -79,7 +79,7 @@ def pseudocode_mutation(
 def scaled_mutation(
     genomes: TensorDictBase, *, mut_p: float, std: float, generator: torch.Generator
 ) -> TensorDictBase:
-    """Add ``mut_p`` times N(0, std^2) to every weight: the formula of AAMAS 2020 as written.
+    """Add ``mut_p`` times N(0, std^2) to every weight: the formula in AAMAS 2020.
 
     Arguments and result as in :func:`bernoulli_mutation`.
     """

@@ -24,9 +24,9 @@ ENTRY_POINT_GROUP = "gdrl.tasks"
 
 @dataclasses.dataclass(frozen=True)
 class RegisteredTask:
-    """A task's name, its options (a dataclass) and what makes it from them.
+    """A task's name, the dataclass of its options, and the function that makes it.
 
-    A package offers one of these as an entry point in the group ``gdrl.tasks``.
+    A package offers such an object as an entry point in the group ``gdrl.tasks``.
     """
 
     name: str
@@ -119,7 +119,7 @@ def load(
     Args:
         name: One of :func:`task_names`.
         random: Seed or state of the episodes, as in ``dm_control.suite``; None takes
-            another one every time.
+            a different one every time.
         environment_kwargs: Arguments of ``control.Environment``, such as
             ``flat_observation``; times are options of the task.
         **options: Options of the task.
@@ -157,8 +157,8 @@ def simulate(
         name: One of :func:`task_names`.
         num_worlds: Number of worlds.
         num_threads: Threads; 0 takes one per processor.
-        seed: Seed of the episodes drawn by ``reset()``; None takes another one every time
-            (it is the ``seed`` of what is returned).
+        seed: Seed of the episodes drawn by ``reset()``; None takes a different one every
+            time (the attribute ``seed`` of the returned simulation).
         **options: Options of the task.
     """
     from gdrl_tasks.batch import BatchSimulation

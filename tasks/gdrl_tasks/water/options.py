@@ -1,4 +1,4 @@
-"""What the water task can be told. Imports neither MuJoCo nor numba, which cost time."""
+"""Options of the water task. Imports neither MuJoCo nor numba, which take time."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ EXTRA_OBSERVATIONS: dict[str, tuple[int, float, float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class WaterOptions:
-    """Options of the water task; ``None`` means what ``difficulty`` says."""
+    """Options of the water task; ``None`` takes the value that ``difficulty`` has."""
 
     difficulty: Literal["near", "far"] = "near"
     goal_distance_m: tuple[float, float] | None = within(
         None, lengths=(2, 2), above=0.0, most=1e4
     )
-    """Range of the goal's distance from the start; its bearing is anything."""
+    """Range of the goal's distance from the start; it may have any bearing."""
     goal_tolerance_m: float | None = within(None, least=1e-3, most=1e4)
     sea: Literal["calm", "lake", "rough"] | None = None
     significant_wave_height_m: float | None = within(None, least=0.0, most=2.0)
@@ -57,7 +57,7 @@ class WaterOptions:
     extra_observations: tuple[str, ...] = among((), EXTRA_OBSERVATIONS)
     """Any of ``velocity`` (surge, sway, yaw rate), ``roll``, ``time_left``."""
     control_interval_s: float = within(0.25, above=0.0, most=1.0)
-    """A goal is looked for along a straight line; in a longer step the way bends more."""
+    """Whether a step reaches a goal is tested on a straight line; long steps bend more."""
     substep_s: float = within(0.03125, least=1e-4, most=0.1)
     step_limit: int = within(160, least=1, most=1_000_000)
     wave_components: int = within(12, least=1, most=1000)
@@ -86,11 +86,11 @@ class WaterOptions:
             )
 
     def _check_steepness(self) -> None:
-        """No episode may have a sea that is steeper than the steepest."""
+        """Raise ValueError if an episode could have a sea steeper than the limit."""
         assert self.sea is not None
         height, period = self.significant_wave_height_m, self.peak_period_s
         if height is None and period is None:
-            # Wind and fetch give the two together.
+            # Wind and fetch give height and period together.
             return
         heights, periods = waves.sea_range(self.sea)
         highest = heights[1] if height is None else height
