@@ -140,7 +140,7 @@ class ErlConfig:
     """Episodes that every member is scored on."""
     period_episodes: int = within(8, least=1, most=MOST_EPISODES)
     """Completed training episodes between generations: 2,000 over the 250 evaluations
-    that the seed reports."""
+    that AAMAS 2020 reports."""
     num_elites: int = within(2, least=1, most=MOST_WORLDS)
     """Best members that stay as they are."""
     tournament_size: int = within(3, least=1, most=1000)

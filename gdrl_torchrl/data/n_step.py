@@ -15,15 +15,15 @@ STEPS_TO_NEXT_OBSERVATION = "steps_to_next_obs"  # the name that TorchRL's losse
 class NStep(nn.Module):
     """Replace each transition by one over ``n`` steps (Sutton 1988; arXiv 1710.02298).
 
-    The reward becomes ``r_0 + gamma r_1 + ... + gamma^(k-1) r_(k-1)`` and ``next`` what
-    followed after ``k`` steps, with ``k = n``, or less where the episode ended
-    (terminated or truncated) or the data did. ``terminated`` is that of the last step:
-    a window that ends in a terminal state must not be continued by a value, one that
-    was truncated must, from its last observation, by ``gamma^k`` times its value.
+    The reward becomes ``r_0 + gamma r_1 + ... + gamma^(k-1) r_(k-1)`` and ``next`` is
+    what followed after ``k`` steps. ``k`` is ``n``, or less where the episode ended
+    (terminated or truncated) or the data did. ``terminated`` is that of the last step. A
+    window that ends in a terminal state must not be continued by a value. A truncated
+    window must be: by ``gamma^k`` times the value of its last observation.
 
-    It keeps no state: data of an agent and of populations may go through one object.
-    The last ``n - 1`` transitions before the end of a batch have shorter windows unless
-    an episode ends there; whole episodes lose nothing.
+    The module keeps no state, so data of an agent and of populations may go through one
+    object. The last ``n - 1`` transitions of a batch have shorter windows unless an
+    episode ends there; whole episodes lose nothing.
 
     Args:
         gamma: Discount per step.
@@ -86,8 +86,8 @@ class NStep(nn.Module):
         reward = following.get(keys.REWARD).reshape(shape)
         # TorchRL's MultiStep with done_keys=() computes the same, but on one copy of
         # the batch per episode: 17 s and 5 GB for 1100 episodes of 100 steps. (With its
-        # default done_keys the flags stay behind: a window that ends in a terminal
-        # state is not terminated.)
+        # default done_keys the flags are not moved: a window that ends in a terminal
+        # state is then not terminated.)
         total, steps = _windows(reward, done, self.gamma, self.num_steps)
         rows = torch.arange(shape.numel(), device=steps.device)
         last = rows + steps.reshape(-1) - 1
@@ -104,7 +104,7 @@ def _windows(
     total = reward.clone()
     steps = torch.ones_like(done, dtype=torch.long)
     duration = done.shape[-1]
-    # Whether the window of a row goes on past the steps that it has so far.
+    # Whether the window of a row goes on beyond its steps so far.
     goes_on = torch.ones_like(done)
     for k in range(1, min(num_steps, duration)):
         goes_on = goes_on[..., : duration - k] & ~done[..., k - 1 : duration - 1]

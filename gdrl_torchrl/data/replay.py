@@ -11,7 +11,7 @@ from torchrl.data import LazyTensorStorage, PrioritizedSampler, TensorDictReplay
 from torchrl.data.replay_buffers import Storage
 
 STALE = ("td_error", "index", "priority_weight")
-"""What a buffer and a loss write into samples: nothing of it holds for a new item."""
+"""Entries that a buffer and a loss write into samples; new items must not have them."""
 
 
 class BatchWeightSampler(PrioritizedSampler):
@@ -48,7 +48,7 @@ def make_prioritized_buffer(
     at any time.
 
     Args:
-        capacity: Transitions that it holds; the oldest are overwritten.
+        capacity: Most transitions that it holds; the oldest are overwritten.
         alpha: Exponent of the priorities, 0 for uniform draws.
         beta: Exponent of the importance weights, 1 for full correction.
         batch_size: Transitions per sample.
@@ -101,8 +101,8 @@ def make_prioritized_buffer(
 def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:
     """A minibatch of a buffer, as its ``sample()`` gives it.
 
-    That looks for transforms, prefetching, locks and old options; without, drawing takes
-    half the time.
+    ``sample()`` also looks for transforms, prefetching, locks and old options; without
+    that, drawing takes half the time.
 
     Args:
         buffer: A buffer of :func:`make_prioritized_buffer`.
@@ -125,7 +125,7 @@ def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:
     drawn: Any = buffer.sampler.sample(buffer.storage, size)
     index, info = drawn
     storage: Any = buffer.storage
-    # The storage itself would first take a view of its filled part.
+    # Indexing the storage itself would first make a view of its filled part.
     rows = storage._storage.apply(lambda x: x.index_select(0, index), batch_size=[size])
     return rows.set("index", index).set("priority_weight", info["priority_weight"])
 
@@ -133,7 +133,7 @@ def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:
 def note_errors(buffer: TensorDictReplayBuffer, minibatch: TensorDictBase) -> None:
     """Make ``td_error`` ``[B, 1]`` of a minibatch the priority of its transitions.
 
-    As ``buffer.update_tensordict_priority``, for a minibatch that is drawn from it.
+    The same as ``buffer.update_tensordict_priority``, for a minibatch of the buffer.
 
     Examples:
         >>> buffer = make_prioritized_buffer(
@@ -158,9 +158,9 @@ def random_share(
 
     Args:
         transitions: Transitions ``[N]``.
-        share: Share to keep; ``round(share * N)`` are.
+        share: Share to keep: ``round(share * N)`` transitions.
         generator: Source of randomness.
-        at_most: Fewer are kept if there would be more than this.
+        at_most: Most transitions to keep.
 
     Returns:
         Copies ``[K]``, in their old order.
@@ -190,10 +190,10 @@ def share_experience(
 ) -> int:
     """Put a random share of other policies' transitions into a buffer.
 
-    The windows over several steps are made first, of whole episodes; choosing first
-    would join steps that did not follow each other. All that enter get the largest
-    priority that any item has had so far. If the share exceeds the buffer's capacity, a
-    random part of that size enters.
+    Windows over several steps are made from whole episodes before the share is drawn;
+    drawing first would join steps that did not follow each other. All transitions that
+    enter get the largest priority that any item has had so far. If the share exceeds the
+    buffer's capacity, a random part as large as the capacity enters.
 
     Args:
         buffer: A buffer of :func:`make_prioritized_buffer`.
@@ -230,7 +230,7 @@ def share_experience(
         2
     """
     windows = n_step(transitions).exclude(*STALE)
-    # Beyond its capacity a buffer would write several items to one place.
+    # With more items than its capacity a buffer would write several to one place.
     sampler: Any = buffer.sampler
     chosen = random_share(windows, share, generator, at_most=sampler.max_size)
     count = chosen.batch_size[0]
@@ -240,7 +240,7 @@ def share_experience(
 
 
 def buffer_state(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
-    """Copy what a buffer's future draws depend on: items, priorities, cursor, randomness.
+    """Copy all that a buffer's draws depend on: items, priorities, cursor, randomness.
 
     The buffer's own ``state_dict`` has the segment trees as C++ objects, which only
     pickle can write, and the unused part of the storage.
@@ -268,7 +268,7 @@ def buffer_state(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
         "items": items.to_dict(),
         "count": count,
         "priorities": torch.as_tensor(sampler._sum_tree[rows]) if count else None,
-        # A value and an index, or twice None.
+        # A value and an index, or None and None.
         "max_priority": [_plain(value) for value in sampler._max_priority],
         "alpha": sampler.alpha,
         "beta": sampler.beta,
@@ -282,8 +282,8 @@ def load_buffer_state(buffer: TensorDictReplayBuffer, state: Mapping[str, Any]) 
     """Return a buffer to a state of :func:`buffer_state`.
 
     Args:
-        buffer: A buffer with the same capacity and exponent ``alpha``; what it holds is
-            forgotten.
+        buffer: A buffer with the same capacity and exponent ``alpha``; its items are
+            replaced.
         state: The state.
 
     Raises:
@@ -298,7 +298,7 @@ def load_buffer_state(buffer: TensorDictReplayBuffer, state: Mapping[str, Any]) 
     count = state["count"]
     if count:
         items = TensorDict(state["items"], batch_size=[count])
-        # Not through the writer: it would count these items as new ones.
+        # Not through the writer, which would count these items as new ones.
         rows: Any = torch.arange(count)
         buffer.storage.set(rows, items)
         # The leaves determine the trees: every node is recomputed from its children.

@@ -28,7 +28,7 @@ class NavigationDMControlEnv(DMControlWrapper):
 
     Args:
         task: The task.
-        seed: Seed of its episodes; None takes another one every time.
+        seed: Seed of its episodes; None takes a different one every time.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -87,7 +87,7 @@ class NavigationDMControlEnv(DMControlWrapper):
         return read
 
     def read_action(self, action: torch.Tensor) -> np.ndarray:
-        """Actions as NumPy, indices of a discrete choice as they are."""
+        """Actions as NumPy arrays; discrete actions remain indices."""
         return action.detach().cpu().numpy()
 
     def _reset(
@@ -102,7 +102,7 @@ class NavigationDMControlEnv(DMControlWrapper):
         return super()._reset(tensordict, **kwargs)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        # dm_control would begin a new episode, whose first step has no reward.
+        # After an end dm_control would begin a new episode, whose first step has no reward.
         check_running(np.zeros(1, dtype=np.int64), self._env.task.arrays["outcome"])
         out = super()._step(tensordict)
         return out.set(keys.REWARD, out[keys.REWARD].to(torch.float32))

@@ -44,7 +44,7 @@ class NavigationEnv(EnvBase):
     """
 
     recorded = RECORDED
-    """Arrays of the simulation that :meth:`entries` are made of."""
+    """Arrays of the simulation that :meth:`entries` needs."""
 
     def __init__(
         self,
@@ -127,8 +127,8 @@ class NavigationEnv(EnvBase):
         """All entries but the reward, of worlds or of worlds at several steps ``[...]``.
 
         Args:
-            observation: What they observe, ``[..., D]``, float32.
-            arrays: Those of the simulation, ``[...]``, or rows of them.
+            observation: What the worlds observe, ``[..., D]``, float32.
+            arrays: Arrays of the simulation, ``[...]``, or rows of them.
         """
         return make_entries(self.task, observation, arrays)
 
@@ -144,7 +144,7 @@ class NavigationEnv(EnvBase):
         out = self.entries(self._observation(), self.simulation.arrays)
         reward = result.reward.astype(np.float32)
         if ids is not None:
-            # Frozen worlds: no reward, and done as they were left.
+            # Worlds that did not step have no reward; their done flags do not change.
             whole = np.zeros(self.batch_size, dtype=np.float32)
             whole[ids] = reward
             reward = whole

@@ -1,4 +1,4 @@
-"""What an environment says of its worlds: at one step, or at many at once."""
+"""Entries of an environment about its worlds: at one step, or at many at once."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ RECORDED = (
     "path_length",
     "shortest_path",
 )
-"""Arrays of a simulation that its entries are made of."""
+"""Arrays of a simulation that entries are made from."""
 
 
 class StepRecord:
-    """Worlds at the steps of a batch, noted one step after another.
+    """Record of all worlds over the steps of a batch, noted one step after another.
 
     Args:
         simulation: The worlds.
@@ -48,7 +48,7 @@ class StepRecord:
         self._recorded = {name: np.empty(shape, arrays[name].dtype) for name in RECORDED}
 
     def note(self, step: int, observation: np.ndarray) -> None:
-        """Note all worlds, and what they observe ``[W, D]``, as those of a step."""
+        """Note the state of all worlds at a step, and what they observe ``[W, D]``."""
         self._observation[:, step] = observation
         for name, values in self._recorded.items():
             values[:, step] = self.simulation.arrays[name]
@@ -66,14 +66,14 @@ def make_entries(
     Args:
         task: The task.
         observation: ``[..., D]``, float32; shares its memory with what is returned.
-        arrays: Those of a simulation, or copies at several steps, ``[...]``.
+        arrays: Arrays of a simulation, or copies at several steps, ``[...]``.
 
     Returns:
         A tensordict ``[...]``.
     """
     recorded = {name: arrays[name][..., None] for name in RECORDED}
     outcome, steps = recorded["outcome"], recorded["steps"]
-    # Members of the enumeration are compared with arrays by way of Python objects.
+    # Comparing an array with a member of an enumeration is slow, so use plain numbers.
     ended = outcome != int(Outcome.RUNNING)
     truncated = (outcome == int(Outcome.TIMEOUT)) & task.truncates_at_limit
     out = {

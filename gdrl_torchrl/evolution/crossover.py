@@ -55,8 +55,8 @@ def n_point_crossover(
     """Cut each weight matrix at random points and take the pieces by turns.
 
     Every parameter of every pair of parents is cut at points of its own, in the order
-    of memory; which parent begins is random. The seed (Marchesini and Farinelli, AAMAS
-    2020) names it as future work, for agents that are alike.
+    of memory; which parent begins is random. Marchesini and Farinelli (AAMAS 2020)
+    name it as future work, for agents that are alike.
 
     Args:
         first: Genomes ``[P]``; leaves ``[P, *shape]``.
@@ -104,11 +104,11 @@ def row_crossover(
 ) -> TensorDictBase:
     """Replace random rows of each weight matrix by the other parent's.
 
-    That of Evolutionary RL (Khadka and Tumer, NeurIPS 2018): a matrix of ``R`` rows is
-    visited between 0 and 2 R - 1 times, evenly; each visit takes a random row and, with
-    probability 1/2, moves the second parent's into the child. So does a vector, number
-    by number. Rows that a visit would have moved the other way keep the first parent's,
-    as only one child is made.
+    The crossover of Evolutionary RL (Khadka and Tumer, NeurIPS 2018). A matrix of ``R``
+    rows is visited between 0 and 2 R - 1 times, evenly; each visit takes a random row
+    and, with probability 1/2, copies the second parent's row into the child. Vectors are
+    treated the same, number by number. The published code also copies rows the other
+    way, into a second child; only one child is made here.
 
     Args:
         first: Genomes ``[P]``; leaves ``[P, *shape]``.
@@ -170,7 +170,7 @@ def cross_with_neighbours(
 def no_crossover(
     genomes: TensorDictBase, *, num_points: int, generator: torch.Generator
 ) -> TensorDictBase:
-    """The genomes as they are."""
+    """Return the genomes unchanged."""
     return genomes
 
 
@@ -178,7 +178,7 @@ CROSSOVERS: dict[str, Callable[..., TensorDictBase]] = {
     "none": no_crossover,
     "n_point": cross_with_neighbours,
 }
-"""What may be done to children after their mutation, by name."""
+"""Crossovers of children after their mutation, by name."""
 
 
 def crossovers() -> dict[str, Callable[..., TensorDictBase]]:

@@ -71,11 +71,11 @@ def erl_mutation(
 ) -> TensorDictBase:
     """The mutation of Evolutionary RL (Khadka and Tumer, NeurIPS 2018, algorithm 3).
 
-    Each genome's weight matrix has a probability of its own, twice a uniform number, of
-    being mutated at all; then between none and ``share`` of its weights are, evenly:
-    mostly by a factor 1 + N(0, strength^2), rarely by 1 + N(0, super_strength^2), as
-    rarely replaced by N(0, 1). Vectors (biases) stay. The published code draws positions
-    with replacement; here each is drawn once.
+    Each weight matrix of each genome mutates with a probability of its own, which is
+    twice a uniform number. Then between none and ``share`` of its weights change, evenly
+    drawn: mostly by a factor 1 + N(0, strength^2), rarely by 1 + N(0, super_strength^2),
+    and as rarely to a new N(0, 1). Vectors (biases) do not change. The published code
+    draws positions with replacement; here each is drawn once.
 
     Args:
         genomes: ``[P]``; leaves ``[P, *shape]``.
@@ -129,18 +129,18 @@ def next_erl_generation(
     mutation_probability: float,
     generator: torch.Generator,
 ) -> TensorDictBase:
-    """Elites as they are, first; the rest are crossed and mutated, ``[P]``.
+    """Unchanged elites first, then crossed and mutated members, ``[P]``.
 
     As in Evolutionary RL (Khadka and Tumer, NeurIPS 2018, algorithm 1): the other
-    places go to tournament winners, each crossed with a random elite; then each mutates
-    with ``mutation_probability``.
+    places go to tournament winners, each of which is crossed with a random elite and
+    then mutates with ``mutation_probability``.
 
     Args:
         population: Genomes ``[P]``.
         order: Its members from best to worst, ``[P]``.
         num_elites: Members that go on unchanged.
         tournament_size: Members drawn for a tournament.
-        mutation_probability: Of each genome that is no elite.
+        mutation_probability: Probability that a genome mutates, if it is no elite.
         generator: Source of randomness.
 
     Raises:
@@ -173,7 +173,7 @@ def next_truncated_generation(
     std: float,
     generator: torch.Generator,
 ) -> TensorDictBase:
-    """The elite as it is, first, and mutated copies of the best members, ``[P]``.
+    """The unchanged elite first, then mutated copies of the best members, ``[P]``.
 
     The genetic algorithm of Such et al. 2017 (https://arxiv.org/abs/1712.06567,
     algorithm 1): truncation selection, mutation of every weight by N(0, std^2), no

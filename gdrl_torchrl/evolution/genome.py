@@ -66,16 +66,16 @@ def concatenate(populations: Iterable[TensorDictBase]) -> TensorDictBase:
 def fitting_leaves(
     genomes: TensorDictBase, parameters: Mapping[str, torch.Tensor], owner: str
 ) -> dict[str, torch.Tensor]:
-    """Leaves of genomes by the names of a module's parameters, if they are like these.
+    """Leaves of genomes by name, checked against a module's parameters.
 
     Args:
         genomes: Values by nested name, batch size ``[]`` or ``[P]``.
-        parameters: The module's, by dotted name.
+        parameters: The module's parameters, by dotted name.
         owner: What the module is called in errors.
 
     Raises:
-        ValueError: If a name is not the module's, or a leaf's shape beside the batch or
-            its type is not its parameter's. The leaf is named.
+        ValueError: If a name is not the module's, or a leaf's type, or its shape without
+            the batch, is not its parameter's. The error names the leaf.
 
     Examples:
         >>> layer = nn.Linear(3, 2)

@@ -1,7 +1,7 @@
 """Gaussian mutation of weights, in the three readings that the papers allow.
 
-The seed (Marchesini and Farinelli, AAMAS 2020) writes ``theta + mut_p * n`` with
-``n ~ N(0, mut_v)`` and calls mut_p the probability of a weight's mutation; its successor
+Marchesini and Farinelli (AAMAS 2020) write ``theta + mut_p * n`` with ``n ~ N(0, mut_v)``
+and call mut_p the probability that a weight mutates; the successor of their paper
 (Marchesini, Corsi and Farinelli, ICLR 2021, App. B) draws positions instead.
 """
 
@@ -79,7 +79,7 @@ def pseudocode_mutation(
 def scaled_mutation(
     genomes: TensorDictBase, *, mut_p: float, std: float, generator: torch.Generator
 ) -> TensorDictBase:
-    """Add ``mut_p`` times N(0, std^2) to every weight: the seed's formula as written.
+    """Add ``mut_p`` times N(0, std^2) to every weight: the formula in AAMAS 2020.
 
     Arguments and result as in :func:`bernoulli_mutation`.
     """

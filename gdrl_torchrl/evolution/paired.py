@@ -9,13 +9,13 @@ import torch
 from gdrl_torchrl.evolution.selection import rank_scores
 
 _MOST_EXACT = 12
-"""Differences up to which every pattern of signs is counted."""
+"""Up to so many differences every pattern of signs is counted."""
 
 
 def sign_flip_p_value(
     differences: torch.Tensor, *, generator: torch.Generator, num_draws: int = 4096
 ) -> float:
-    """Probability of so large a mean if every difference could as well be its negative.
+    """Probability of a mean at least so large if the differences had random signs.
 
     One-sided paired permutation test (Fisher 1935), exact for up to 12 differences that
     are not 0 and by random signs beyond.
@@ -23,7 +23,7 @@ def sign_flip_p_value(
     Args:
         differences: Child less parent on common episodes, ``[S]``.
         generator: Source of the random signs.
-        num_draws: How many of them.
+        num_draws: Number of random patterns of signs.
 
     Returns:
         A p-value in (0, 1]; 1 if a difference is not a number.
@@ -58,11 +58,11 @@ def sign_flip_p_value(
 class HalvingPlan:
     """How many episodes decide which child is tested, and how it is tested.
 
-    Children are screened in rounds; after each the better half stays, until one is
-    left (successive halving, Jamieson and Talwalkar 2016,
-    https://arxiv.org/abs/1502.07943). That one and the parent then meet on fresh
-    episodes, in up to ``num_looks`` groups: it wins as soon as the p-value over the
-    episodes so far is at most ``level / num_looks``. Since no screening episode is
+    Children are screened in rounds. After each round the better half stays, until one
+    child is left (successive halving, Jamieson and Talwalkar 2016,
+    https://arxiv.org/abs/1502.07943). This child and the parent then meet on fresh
+    episodes, in up to ``num_looks`` groups. The child wins as soon as the p-value over
+    these episodes so far is at most ``level / num_looks``. Since no screening episode is
     among them, a child no better than the parent wins with a probability of at most
     ``level``.
 
@@ -73,9 +73,9 @@ class HalvingPlan:
     """
 
     screening_trials: int = 3
-    """Episodes of every round."""
+    """Episodes of every round of screening."""
     test_trials: int = 10
-    """Episodes of every look."""
+    """Episodes before every look at the test."""
     num_looks: int = 2
     level: float = 0.2
 

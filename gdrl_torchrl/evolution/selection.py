@@ -35,7 +35,7 @@ def select_best(
         tie_rule: Among members of equal best fitness take: ``return_then_parent``, the
             one with the highest mean return and, if still equal, the parent;
             ``parent``, the parent if it is among them; ``child``, a child if one is
-            among them. What is still open goes to the lowest index.
+            among them. Where members are still equal, the lowest index wins.
 
     Returns:
         The index; the parent's if no member has a fitness that is a number.

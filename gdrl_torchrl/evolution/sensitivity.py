@@ -1,4 +1,4 @@
-"""How much a policy's outputs depend on each weight, and mutations that respect it."""
+"""How much a policy's outputs depend on each weight, and mutations scaled by it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def output_sensitivity(
 
     ``s_w = sqrt(mean_i sum_k (d y_ik / d w)^2)`` over observations i and outputs k: the
     sensitivity of safe mutations (Lehman et al. 2018, https://arxiv.org/abs/1712.06563,
-    section 3.1; PDERL's proximal mutation, https://arxiv.org/abs/1906.09807) with
-    squares where they add gradients, so that gradients of opposite sign do not cancel.
+    section 3.1; PDERL's proximal mutation, https://arxiv.org/abs/1906.09807). They add
+    gradients; here squares are added, so that gradients of opposite sign do not cancel.
 
     Args:
         outputs: ``(genome, observation [D]) -> [K]``, differentiable.
@@ -78,9 +78,9 @@ def dampen(
 ) -> TensorDictBase:
     """Shrink mutations of weights that the outputs depend on, and grow the others.
 
-    Every change is divided by the weight's sensitivity over the root mean square of all
-    weights' sensitivities, at least ``floor``: a change of the typical weight stays as
-    it is, none grows by more than ``1 / floor``.
+    Every change is divided by the weight's sensitivity relative to the root mean square
+    of all weights' sensitivities, but by no less than ``floor``. So a change of a typical
+    weight keeps its size, and none grows by more than ``1 / floor``.
 
     Args:
         genomes: Before the mutation, ``[P]``.
@@ -89,7 +89,7 @@ def dampen(
         floor: Least relative sensitivity, > 0.
 
     Returns:
-        New genomes ``[P]``. If nothing depends on any weight, those of ``mutated``.
+        New genomes ``[P]``. If no output depends on any weight, ``mutated``.
 
     Raises:
         ValueError: If ``floor`` is not positive.

@@ -75,10 +75,10 @@ def make_tanh_normal_actor(
 
 
 def _number(bound: torch.Tensor) -> torch.Tensor | float:
-    """A bound that is the same for all commands as a number.
+    """A bound as a number, if it is the same for all commands.
 
-    TorchRL's distribution looks at tensors whenever it is made, which takes time and
-    keeps a policy from being traced.
+    Whenever TorchRL's distribution is made, it reads the values of bounds that are
+    tensors. That takes time and keeps a policy from being traced.
     """
     values = bound.unique()
     return values.item() if len(values) == 1 else bound
@@ -97,10 +97,10 @@ def make_value_network(
         observation_size: Length ``D`` of the observation.
         num_cells: Widths of the hidden layers.
         activation: Activation of the hidden layers.
-        sees_time: Whether it reads ``time_left`` too. A step limit that carries a
-            reward is part of the state; a critic that cannot see it takes every timeout
-            for a surprise, which is the larger part of the noise in the advantages
-            while most episodes fail.
+        sees_time: Whether it reads ``time_left`` too. If the step limit carries a
+            reward, the time left is part of the state. A critic that cannot see it
+            cannot expect a timeout; while most episodes fail, this is the larger part
+            of the noise in the advantages.
 
     Examples:
         >>> from tensordict import TensorDict

@@ -1,4 +1,4 @@
-"""Functions of tensors as graphs: traced once, run without Python's share of the work."""
+"""Functions of tensors as graphs: traced once, then run with little Python between."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _logger = logging.getLogger(__name__)
 
 _NEW_MEMORY = (torch.ops.aten.empty.memory_format, torch.ops.aten.empty_like.default)
 _PLAIN_NAMES = {"split": "unsafe_split", "_unsafe_view": "view", "_to_copy": "to"}
-"""Of operators that have no quick function of their own name."""
+"""Functions for operators that have no quick function of their own name."""
 _PRODUCTS = (torch.ops.aten.mul.Scalar, torch.ops.aten.mul.Tensor)
 
 
@@ -30,8 +30,8 @@ class TracedFunction:
     bit, for tensors of the shapes that it was traced with.
 
     Args:
-        function: Called once, with the tensors below. What it does must not depend on
-            their numbers.
+        function: Called once, with the tensors below. Which operations it runs must not
+            depend on their numbers.
         constants: Tensors that change seldom.
         inputs: Tensors that change at every call.
 
@@ -60,8 +60,8 @@ class TracedFunction:
             outputs = function(constants, inputs)
         whole = recorder.whole(outputs)
         whole.graph.eliminate_dead_code()
-        # What comes after it knows nothing of gradients: a function that wants some has
-        # computed them, and the graph has the operations of that.
+        # The graph runs without gradients: a function that needs gradients computes them
+        # itself, and the operations of that are in the graph.
         with torch.no_grad():
             if not any(_writes(node) for node in whole.graph.nodes):
                 _Identities(whole).run(*tensors)
@@ -70,7 +70,7 @@ class TracedFunction:
         whole.graph.eliminate_dead_code()
         nodes = list(whole.graph.nodes)
         self.is_pure = not any(is_random(node) or _writes(node) for node in nodes)
-        """Whether it neither draws numbers nor writes into what others may read."""
+        """Whether it neither draws numbers nor writes into memory that others may read."""
         self._before, self._after = _split(whole, len(constants))
         self.num_operations = sum(
             node.op == "call_function" and "getitem" not in str(node.target)
@@ -79,18 +79,18 @@ class TracedFunction:
 
     @torch.no_grad()
     def prepare(self, constants: Tensors) -> Tensors:
-        """What :meth:`run` needs of the constants."""
+        """Compute what :meth:`run` needs of the constants."""
         return list(self._before.forward(*constants))
 
     @torch.no_grad()
     def run(self, prepared: Tensors, inputs: Tensors) -> tuple[torch.Tensor, ...]:
-        """The function's outputs for inputs, and for the constants prepared."""
-        # A module's call has hooks to look for.
+        """The function's outputs for inputs and prepared constants."""
+        # Calling the module would look for hooks, which takes time.
         return self._after.forward(*prepared, *inputs)
 
     def bind(self, constants: Tensors) -> Callable[..., tuple[torch.Tensor, ...]]:
         """The function of the inputs alone, one by one, until the constants change."""
-        # Without their histories, so that no run need keep torch from noting its own.
+        # Detached, so that no run needs to switch gradients off.
         prepared = [tensor.detach() for tensor in self.prepare(constants)]
         return functools.partial(self._after.forward, *prepared)
 
@@ -102,18 +102,18 @@ def trace(
 ) -> TracedFunction | None:
     """Trace a function, if its graph gives the same numbers bit for bit.
 
-    Where it draws from torch's global generator the graph does too, and gives the same
-    for the same state; the state is left as it was.
+    If the function draws from torch's global generator, so does the graph, and it gives
+    the same numbers for the same state. Tracing leaves that state unchanged.
 
     Args:
-        function: As of :class:`TracedFunction`. It may also use constants that it has
-            from elsewhere than its arguments: the same tensor is the same constant.
+        function: As in :class:`TracedFunction`. It may also use tensors that are not
+            among its arguments; these are constants of the graph.
         constants: Tensors that change seldom.
         inputs: Tensors that change at every call.
 
     Returns:
-        The graph, or None if the function looks at numbers, is random in another way or
-        cannot be traced for other reasons, which are logged.
+        The graph, or None if the function reads numbers of tensors, is random in another
+        way or cannot be traced for other reasons, which are logged.
 
     Examples:
         >>> zero, ones = torch.zeros(2), torch.ones(2)
@@ -140,10 +140,10 @@ def trace(
 
 
 class _Identities(fx.Interpreter):
-    """Replaces what gives a tensor that there is already by the one that gave it."""
+    """Replaces operations that only give an existing tensor again by that tensor."""
 
     def __init__(self, whole: fx.GraphModule) -> None:
-        # Tensors are told apart by their memory, so none may be freed.
+        # Tensors are identified by their memory, so none may be freed.
         super().__init__(whole, garbage_collect_values=False)
         self._first: dict[Any, fx.Node] = {}
 
@@ -163,16 +163,18 @@ class _Identities(fx.Interpreter):
 
 
 class _PlainFunctions(fx.Interpreter):
-    """Replaces operators by torch's functions of their names, which are called faster.
+    """Replaces operators by torch's functions of the same name, which are called faster.
 
-    Only where those give the same numbers, and leave torch's generator in the same state.
+    Only where a function gives the same numbers and leaves torch's generator in the same
+    state.
     """
 
     def run_node(self, n: fx.Node) -> Any:
         before = torch.get_rng_state()
         result = super().run_node(n)
         schema: Any = getattr(n.target, "_schema", None)
-        # What happens to be in new memory may be equal; what is written is, once more.
+        # Uninitialised memory may be equal by chance; an operation that writes into a
+        # tensor would write twice if it were tried here.
         if schema is None or n.target in _NEW_MEMORY or mutates(n):
             return result
         after = torch.get_rng_state()
@@ -186,7 +188,7 @@ class _PlainFunctions(fx.Interpreter):
             except (AttributeError, TypeError, RuntimeError):
                 continue
             if torch.equal(torch.get_rng_state(), after) and _are_alike(other, result):
-                n.meta[IS_RANDOM] = is_random(n)  # which the function does not tell
+                n.meta[IS_RANDOM] = is_random(n)  # the function does not say so
                 n.target = function
                 break
         torch.set_rng_state(after)
@@ -194,7 +196,7 @@ class _PlainFunctions(fx.Interpreter):
 
 
 def _merge_equal_nodes(graph: fx.Graph) -> None:
-    """Compute what is computed twice from the same tensors only once."""
+    """Merge operations that compute the same from the same tensors."""
     known: dict[Any, fx.Node] = {}
     for node in list(graph.nodes):
         if node.op != "call_function" or is_random(node) or mutates(node):
@@ -230,7 +232,7 @@ def _place(tensor: torch.Tensor) -> tuple[Any, ...]:
 
 
 def _writes(node: fx.Node) -> bool:
-    """Whether a node writes into what others may read, and not only fills new memory."""
+    """Whether a node writes into memory that others may read, not only into new memory."""
     if not mutates(node):
         return False
     place = node.args[0]
@@ -244,7 +246,7 @@ def _split(whole: fx.GraphModule, count: int) -> tuple[fx.GraphModule, fx.GraphM
     nodes = list(whole.graph.nodes)
     placeholders = [node for node in nodes if node.op == "placeholder"]
     varying = set(placeholders[count:])
-    # What one run writes into must not be there at the next.
+    # Memory that a run writes into must be made anew for the next run.
     all_vary = any(_writes(node) for node in nodes)
     for node in nodes:
         varies = is_random(node) or varying.intersection(node.all_input_nodes)

@@ -1,4 +1,4 @@
-"""Graphs of the members' actions, one for each shape of what they are shown."""
+"""Graphs of the members' actions, one for each shape of their inputs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class MemberGraphs:
             ``[P, S]``.
         out_keys: What that part writes.
         heads: The rest of the actor.
-        action_key: Where the action is found in the end.
+        action_key: Where the actor writes the action.
 
     Attributes:
-        graphs: By all that they depend on, None where there is none.
+        graphs: Graphs by all that they depend on; None where tracing failed.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class MemberGraphs:
         self._bounds: dict[Any, _Bound] = {}
 
     def unbind(self) -> None:
-        """Forget weights that graphs were given: others come next."""
+        """Forget the weights that graphs are bound to, before other members are used."""
         self._bounds.clear()
 
     def outputs(
@@ -75,7 +75,7 @@ class MemberGraphs:
         runs = [each.run for each in bound]
         if len(runs) == 1:
             return runs[0]
-        # What one draws or writes, another may not be in the middle of.
+        # Graphs that draw random numbers or write must not run side by side.
         if not all(each.is_pure for each in bound):
             run_all = map
 
@@ -95,7 +95,7 @@ class MemberGraphs:
         is_whole: bool,
     ) -> _Bound | None:
         """The graph for inputs ``[P, S]`` of some members; None if there is none."""
-        # All that the operations depend on beside the numbers and the modules' state.
+        # All that the operations depend on, except numbers and the modules' state.
         kinds = tuple((name, x.shape, x.dtype) for name, x in leaves_of(inputs).items())
         key = (kinds, exploration_type(), is_whole)
         if key not in self.graphs:
@@ -126,8 +126,8 @@ class MemberGraphs:
             for value in leaves_of(out).values()
             if value.dtype.is_floating_point
         ]
-        # A sum is finite if all numbers are, unless it overflows: who sees that it is
-        # not looks at the numbers themselves. Infinity less infinity is not a number.
+        # A sum is finite if all numbers are, unless it overflows. So callers look at the
+        # numbers themselves where it is not. Infinity less infinity is not a number.
         total = torch.stack(sums).sum(0) if len(sums) > 1 else sums[0]
         finite = total - total == 0.0
         rows = inputs.clone().reshape(-1).update(out)

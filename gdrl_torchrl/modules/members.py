@@ -1,4 +1,4 @@
-"""Members of an actor's family that act alone, and whether a batch of them acts alike."""
+"""Members that act alone, and whether a batch of them gives the same actions."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gdrl_torchrl.modules.private_copy import digest, fingerprint, private_copy
 
 Reason = str
-"""Why members must act one by one; empty if they need not."""
+"""Why members must act one by one; empty if they may act as a batch."""
 Outputs = dict[Any, torch.Tensor]
 _ROWS, _MEMBERS = 3, 2
-"""Of a comparison."""
+"""Rows and members in a comparison."""
 _CLOSE = 1e-4
-"""Share of the largest number by which a batch may differ from a row: rounding."""
+"""By this share of the largest number a batch may differ from a row: rounding."""
 _LONGEST_REASON = 160
 
 
 def split_actor(
     actor: TensorDictModuleBase,
 ) -> tuple[TensorDictModuleBase, list[TensorDictModuleBase]]:
-    """The shortest beginning of an actor that owns all its parameters, and the rest."""
+    """Split an actor after its last part with parameters: the first parts, and the rest."""
     if not isinstance(actor, TensorDictSequential):
         return actor, []
     parts: list[Any] = list(actor.module)
@@ -33,7 +33,7 @@ def split_actor(
     if not owners:
         raise ValueError(f"{type(actor).__name__} has no parameters")
     cut = owners[-1] + 1
-    # Names stay those of the whole actor: module.0, module.1, ...
+    # Names remain those of the whole actor: module.0, module.1, ...
     return TensorDictSequential(*parts[:cut]), parts[cut:]
 
 
@@ -63,19 +63,19 @@ def act_on(
         rows: What the actor read, ``[B]``; outputs are added to it.
         outputs: What its network wrote, ``[B, ...]``.
         heads: The rest of the actor.
-        action_key: Where the action is found then.
+        action_key: Where the heads write the action.
 
     Returns:
-        The rows, with ``policy_is_finite`` ``[B]``: whether both are numbers. What is
-        not is replaced, so that heads need not bear it.
+        The rows, with ``policy_is_finite`` ``[B]``: whether outputs and action are
+        numbers. NaN and infinity are replaced by a neutral value.
     """
     finite = torch.ones(rows.batch_size, dtype=torch.bool)
     for key, value in outputs.items():
-        # The sum tells at once whether all numbers are, except when it overflows.
+        # A finite sum means that all numbers are finite; only if it is not, look closer.
         if value.dtype.is_floating_point and not torch.isfinite(value.sum()):
             strange = _strange(value)
             finite &= ~strange.reshape(len(finite), -1).any(dim=1)
-            # A neutral value keeps heads from raising; the row is marked instead.
+            # With a neutral value heads do not raise; the row is marked instead.
             value = value.masked_fill(strange, 1.0 if key == "scale" else 0.0)
         rows.set(key, value)
     for head in heads:
@@ -90,9 +90,9 @@ def act_on(
 
 
 def _strange(value: torch.Tensor) -> torch.Tensor:
-    """Mask of what no network means to give.
+    """Mask of numbers that are errors of the network.
 
-    Minus infinity is how actions are forbidden, unless it forbids all of a row.
+    Minus infinity is none, since it forbids an action, unless all of a row is forbidden.
     """
     forbidden = torch.isneginf(value)
     if value.ndim > 1:
@@ -113,16 +113,16 @@ def why_one_by_one(
         actor: The actor; it is copied, not called.
         vmapped: Its part with parameters, of parameters ``[P]`` and inputs ``[P, S]``.
         params: All parameters and buffers of members ``[P]``, by dotted name.
-        inputs: What members are shown, ``[P, S]``.
+        inputs: Inputs of the members, ``[P, S]``.
 
     Returns:
-        Why they must act one by one; nothing if they need not.
+        Why they must act one by one; empty if they may act as a batch.
 
     Raises:
         Exception: What the actor raises when it acts alone.
     """
     chosen = _finite_first(params)[:_MEMBERS]
-    # Weights that are no numbers tell nothing.
+    # With weights that are NaN or infinite nothing could be compared.
     own: Any = params[chosen]
     params = own.apply(lambda leaf: leaf.nan_to_num(0.0, 0.0, 0.0))
     shown: Any = inputs[chosen][:, :_ROWS]
@@ -154,7 +154,7 @@ def why_one_by_one(
 
 
 def _act(member: Any, rows: TensorDictBase) -> Outputs:
-    """What a member writes for rows ``[S]``: its heads without exploring."""
+    """What a member writes for rows ``[S]``, its heads without exploration."""
     prefix, heads = split_actor(member)
     rows = rows.clone()
     written = prefix(rows.clone()).select(*prefix.out_keys, strict=False)
@@ -162,7 +162,7 @@ def _act(member: Any, rows: TensorDictBase) -> Outputs:
 
 
 def _finished(rows: TensorDictBase, heads: Iterable[Any], keys: Iterable[Any]) -> Outputs:
-    # Their draws are theirs, not a batch's: what is compared is what they do without.
+    # Random draws of heads differ between rows and batch: compare without exploration.
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         for head in heads:
             rows = head(rows)
@@ -173,7 +173,7 @@ def _finished(rows: TensorDictBase, heads: Iterable[Any], keys: Iterable[Any]) -
 def _rows_are_apart(member: Any, rows: TensorDictBase, expected: Outputs) -> bool:
     try:
         alone = [_act(member, rows[i : i + 1]) for i in range(len(rows))]
-    except Exception:  # as batch normalisation does for one row
+    except Exception:  # such as batch normalisation's error for one row
         return False
     together = {key: torch.cat([one[key] for one in alone]) for key in expected}
     return _are_close(together, expected)
@@ -184,7 +184,7 @@ def _state(member: Any) -> tuple[Any, ...]:
 
 
 def _finite_first(params: TensorDictBase) -> torch.Tensor:
-    """All members, those whose parameters are numbers before the others."""
+    """Indices of all members, those with finite parameters first."""
     finite = torch.ones(len(params), dtype=torch.bool)
     for value in params.values():
         if value.dtype.is_floating_point:
@@ -197,7 +197,7 @@ def _are_equal(one: Outputs, other: Outputs) -> bool:
 
 
 def _are_close(one: Mapping[Any, torch.Tensor], other: Outputs) -> bool:
-    """Equal but for rounding; choices only where no number tells."""
+    """Whether numbers are equal but for rounding; integers count if there are no others."""
     numbers = [key for key, value in other.items() if value.dtype.is_floating_point]
     return all(_is_close(one[key], other[key]) for key in numbers or other)
 

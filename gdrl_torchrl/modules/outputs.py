@@ -24,15 +24,15 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
     """Make ``(genome, observation [D]) -> outputs [K]``, which is differentiable.
 
     The outputs are what the greedy action depends on: the values of discrete actions
-    (of a distribution the means), the location of continuous ones or, if the actor
-    writes neither, the last entry that its parameters give.
+    (means, if the values are distributions) or the location of continuous actions. If
+    the actor writes neither, they are the last entry that its part with parameters writes.
 
     Args:
         actor: Any TorchRL actor without lazy layers.
 
     Returns:
-        The function; the actor is not modified. Weights that a genome lacks are the
-        actor's own at that time.
+        The function; the actor is not modified. Weights that a genome lacks are taken
+        from the actor at that time.
 
     Examples:
         >>> from gdrl_torchrl.evolution.genome import genome_of
@@ -51,7 +51,7 @@ def outputs_of(actor: TensorDictModuleBase) -> Outputs:
     has_atoms = isinstance(actor, DistributionalQValueActor)
 
     def outputs(genome: TensorDictBase, observation: torch.Tensor) -> torch.Tensor:
-        # What a forward pass writes or breaks, it does to a copy.
+        # A forward pass may change its module, so a copy is run.
         prefix, _ = split_actor(private_copy(actor))
         own = dict(prefix.named_parameters())
         weights = own | fitting_leaves(genome, own, kind.__name__)

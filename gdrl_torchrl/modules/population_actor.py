@@ -30,20 +30,20 @@ _logger = logging.getLogger(__name__)
 class PopulationActor:
     """Run ``P`` members of an actor on ``[P * S]`` rows, member by member.
 
-    Members are copies of the actor with weights of their own; the actor itself is only
-    read. Its modes, attributes and buffers are taken over at every :meth:`load`.
+    Members are copies of the actor with weights of their own. The actor itself is only
+    read: its modes, attributes and buffers are copied at every :meth:`load`.
 
-    The part of the actor that owns parameters is vectorised over members; the heads
-    that own none (distributions, argmax) run on all rows at once, so actors whose
-    heads ``torch.vmap`` refuses work too. That part is traced once to a graph of tensor
-    operations and run without Python's share of the work, which for small networks is
-    most of it. The graph is used only if it gives the same numbers, bit for bit, as the
+    The part of the actor that has parameters is vectorised over members. The heads, which
+    have none (distributions, argmax), run on all rows at once, so actors whose heads
+    ``torch.vmap`` refuses work too. The vectorised part is traced once to a graph of
+    tensor operations; this saves the time of Python, which is most of the time of small
+    networks. The graph is used only if it gives the same numbers, bit for bit, as the
     vectorised modules on its first inputs; otherwise the modules are run.
 
-    On its first inputs an actor is also compared with members that act alone. If it acts
-    otherwise as a batch (recurrent layers that vmap refuses, batch statistics, random
-    layers, a state in buffers or attributes), members act one by one, each a copy that
-    keeps its own state from :meth:`load` on; the log says why.
+    On its first inputs a batch of members is also compared with members that act alone.
+    If the batch acts otherwise (recurrent layers that vmap refuses, batch statistics,
+    random layers, a state in buffers or attributes), members act one by one. Each is then
+    a copy that keeps its own state from :meth:`load` on; the log says why.
 
     Args:
         actor: Any TorchRL actor without lazy layers: a tensordict module, or a
@@ -53,8 +53,9 @@ class PopulationActor:
 
     Attributes:
         in_keys: What the actor reads.
-        num_evolving: Weights of a member that come from its genome.
-        reason: Why members act one by one, as found last; empty if they act as a batch.
+        num_evolving: Number of weights of a member that come from its genome.
+        reason: Why members act one by one, by the last comparison; empty if they act as a
+            batch.
 
     Raises:
         ValueError: If the actor has no parameters, or cannot be copied.
@@ -93,11 +94,11 @@ class PopulationActor:
         self._copy_actor(None)
 
     def load(self, genomes: TensorDictBase) -> None:
-        """Make members of genomes, and choose all of them.
+        """Make members from genomes, and let all of them act.
 
         Args:
-            genomes: Parameters ``[P]`` by nested name; those of the actor that are
-                missing (and all buffers) are the actor's own, as they are now.
+            genomes: Parameters ``[P]`` by nested name. Parameters that are missing, and
+                all buffers, are copied from the actor as it is now.
 
         Raises:
             ValueError: If a leaf is not one of the actor's parameters, or has another
@@ -136,7 +137,7 @@ class PopulationActor:
         """Whether each row's action depends on that row and the weights alone.
 
         Args:
-            rows: What members may be shown, ``[S]``, ``S`` >= 2.
+            rows: Possible inputs, ``[S]``, ``S`` >= 2.
         """
         params = self._chosen()
         inputs = rows.select(*self.in_keys).expand(len(params), *rows.batch_size)
@@ -149,8 +150,8 @@ class PopulationActor:
         Returns:
             ``rows`` with the actor's outputs and ``policy_is_finite`` ``[P * S]``. A row
             whose network output is not a number acts as if the output were 0, and is
-            marked. Minus infinity is let through, as a mask of forbidden actions, where
-            something else remains to be chosen.
+            marked. Minus infinity, as a mask of forbidden actions, is kept where some
+            action remains to be chosen.
 
         Raises:
             RuntimeError: If no members are loaded.
@@ -166,18 +167,19 @@ class PopulationActor:
     def bind(
         self, inputs: TensorDictBase, *, parts: int = 1, run_all: Any = map
     ) -> Callable[[Tensors], tuple[torch.Tensor, torch.Tensor]]:
-        """The members' actions alone, heads traced too where that is possible.
+        """Make a function of the members' actions, its heads traced where possible.
 
         Args:
             inputs: What the actor may read, ``[P, S]``: any numbers will do.
-            parts: Runs of members that act one after another, where there is a graph.
-            run_all: As ``map``, or ``map`` of a pool of threads for them to act side by
-                side. The actions are the same.
+            parts: Number of parts that the members are split into, if there is a graph.
+            run_all: ``map``, or ``map`` of a pool of threads, so that the parts run side
+                by side. The actions are the same.
 
         Returns:
-            A function of tensors as those of ``inputs``, in their order, ``[P, S, ...]``.
-            It gives actions ``[P, S, ...]`` and the mask of rows whose network output
-            was a number ``[P, S]``. Choosing other members ends its use.
+            A function of tensors like those of ``inputs``, in their order,
+            ``[P, S, ...]``. It gives actions ``[P, S, ...]`` and the mask of rows whose
+            network output was a number ``[P, S]``. It must not be used any more once
+            other members are chosen.
         """
         run = None
         if self._is_vectorised(inputs) and self._may_trace:
@@ -198,7 +200,7 @@ class PopulationActor:
         return act
 
     def _copy_actor(self, now: bytes | None) -> None:
-        """A new copy to run, for which nothing is known yet."""
+        """Copy the actor anew, and forget what was known of the old copy."""
         self._fingerprint = now
         self._actor = private_copy(self.actor)
         self._prefix, self._heads = split_actor(self._actor)
@@ -210,7 +212,7 @@ class PopulationActor:
 
     @property
     def _may_trace(self) -> bool:
-        # Without a fingerprint nobody knows what a graph would have outlived.
+        # Without a fingerprint a change that makes graphs invalid would go unseen.
         return self.trace and self._fingerprint is not None
 
     def _chosen(self) -> TensorDictBase:
@@ -219,7 +221,7 @@ class PopulationActor:
         return self._params
 
     def _is_vectorised(self, inputs: TensorDictBase) -> bool:
-        """Whether members act as a batch as they would alone, by inputs ``[P, S]``."""
+        """Whether members act as a batch as they would alone, on inputs ``[P, S]``."""
         kinds = tuple((name, x.shape[2:], x.dtype) for name, x in leaves_of(inputs).items())
         key = (kinds, exploration_type(), min(inputs.shape[1], 2))
         if key not in self._reasons:
@@ -251,6 +253,6 @@ class PopulationActor:
         return leaves_of(self._vmapped(self._chosen(), inputs))
 
     def _call(self, params: TensorDictBase, inputs: TensorDictBase) -> TensorDictBase:
-        # Tied weights have one name here, and functional_call knows the others.
+        # Tied weights have one name here; functional_call finds their other names.
         out: Any = functional_call(self._prefix, dict(params.items()), (inputs,))
         return out.select(*self._prefix.out_keys, strict=False)

@@ -17,9 +17,9 @@ _EVERY_MODULE_HAS = vars(nn.Module()).keys() - {"training"}
 
 
 def private_copy(module: nn.Module) -> Any:
-    """Copy a module: parameters, buffers and attributes of its own, equally shared.
+    """Copy a module with its parameters, buffers and attributes.
 
-    What is one parameter or buffer under two names in the module is one in the copy.
+    A parameter or buffer that has two names in the module is also one in the copy.
 
     Raises:
         ValueError: If something in the module cannot be copied.
@@ -32,8 +32,8 @@ def private_copy(module: nn.Module) -> Any:
     """
     memo: dict[int, Any] = {}
     for part in module.modules():
-        # Results of a gradient's graph, as torch's old weight norm keeps: they are made
-        # anew at every call, and deepcopy refuses them.
+        # Tensors with a history of gradients, as torch's old weight norm keeps them:
+        # deepcopy refuses them, and they are made anew at every call.
         for value in vars(part).values():
             if isinstance(value, torch.Tensor) and not value.is_leaf:
                 memo[id(value)] = value.detach().clone()
@@ -47,12 +47,12 @@ def private_copy(module: nn.Module) -> Any:
 
 
 def fingerprint(module: nn.Module) -> bytes | None:
-    """All that a module is beside the numbers in its parameters and buffers.
+    """Bytes that describe a module without the numbers in its parameters and buffers.
 
-    Modes, attributes, classes, functions, which parameters are shared: two equal
-    fingerprints of one module mean that it would do the same with the same numbers, as
-    far as its attributes tell. Global variables and those that a function has closed
-    over are not seen.
+    They cover modes, attributes, classes, functions, and which parameters are shared. If
+    two fingerprints of one module are equal, it does the same with the same numbers, as
+    far as its attributes show. Global variables and those that a function has closed over
+    are not covered.
 
     Returns:
         The fingerprint, or None if an attribute cannot be looked at.
@@ -72,10 +72,10 @@ def fingerprint(module: nn.Module) -> bytes | None:
 
 
 def plain_attributes(modules: Iterable[nn.Module]) -> Callable[[], tuple[Any, ...]]:
-    """Make a quick look at modes and other attributes that are numbers or text.
+    """Make a quick check of modes and other attributes that are numbers or text.
 
-    What a graph of modules depends on, short of a :func:`fingerprint`. Attributes that
-    modules get later are not seen.
+    These are most of what a graph of modules depends on; a :func:`fingerprint` covers
+    more. Attributes that modules get later are not seen.
 
     Examples:
         >>> layer = nn.Dropout(0.5)
@@ -91,7 +91,7 @@ def plain_attributes(modules: Iterable[nn.Module]) -> Callable[[], tuple[Any, ..
         for name, value in vars(module).items()
         if isinstance(value, _PLAIN) and name not in _EVERY_MODULE_HAS
     ]
-    # Operators, not methods: this runs before every update.
+    # Operators are faster than methods, and this runs before every update.
     return lambda: tuple([x[n] if n in x else None for x, n in watched])  # noqa: SIM401
 
 
@@ -104,7 +104,7 @@ class _Fingerprint(pickle.Pickler):
         self._names = {id(tensor): name for name, tensor in named}
 
     def persistent_id(self, obj: Any) -> Any:
-        """Stand-ins for what has no content to compare, or a content that is data."""
+        """Stand-ins for tensors, and for objects that are compared by identity."""
         if isinstance(obj, torch.Tensor):
             kind = str(obj.dtype), tuple(obj.shape)
             name = self._names.get(id(obj))
@@ -121,6 +121,6 @@ class _Fingerprint(pickle.Pickler):
 
 
 def digest(tensor: torch.Tensor) -> int:
-    """A number that tells a tensor's content, within this process."""
+    """A number that differs with a tensor's content, valid within this process."""
     values = tensor.detach().cpu().contiguous().reshape(-1)
     return hash(values.view(torch.uint8).numpy().tobytes())

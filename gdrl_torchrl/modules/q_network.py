@@ -47,7 +47,7 @@ def make_q_actor(
         value_range: Lowest and highest discounted return that the network can express.
         num_atoms: Number of returns ``Z``, evenly spaced over the range.
         num_cells: Widths of the hidden layers: the last one is a layer in each stream,
-            those before it are shared. A single width is shared; the streams are
+            the others are shared. A single width is a shared layer, and the streams are
             linear then.
         activation: Activation of the hidden layers.
         noisy: Whether the streams are noisy.
@@ -83,8 +83,8 @@ def make_q_actor(
 
     shared = num_cells[:-1] or num_cells
     hidden = list(num_cells[len(shared) :])
-    # Sizes are given everywhere: the weights of lazy layers do not exist before a
-    # first call, so they could neither evolve nor be copied to a target network.
+    # Input sizes are given, so that no layer is lazy: weights of lazy layers do not exist
+    # before a first call, so they could not evolve or be copied to a target network.
     streams: dict[str, Any] = {
         "in_features": shared[-1],
         "num_cells": hidden,
@@ -120,18 +120,18 @@ def make_q_actor(
 class _DuelingNetwork(nn.Module):
     """Logits ``[..., Z, A]`` of two streams, computed as one.
 
-    The equal layers of the streams are one product, and the mean over actions is taken
-    of the last layer's weights, not of its values: for a population that is done once,
-    when its weights are given. TorchRL's ``DuelingMlpDQNet`` keeps the actions side by
-    side in memory; here the atoms are, and a softmax over them, here and in the loss,
-    takes half the time.
+    Equal layers of the two streams are computed as one product. The mean over actions is
+    taken of the last layer's weights and not of its values: for a population this is done
+    once, when its weights are given. TorchRL's ``DuelingMlpDQNet`` keeps actions side by
+    side in memory; here atoms are side by side, so that a softmax over them, here and in
+    the loss, takes half the time.
     """
 
     def __init__(self, features: MLP, *, advantage: MLP, value: MLP) -> None:
         super().__init__()
         self.features, self.advantage, self.value = features, advantage, value
         for layer in self.modules():
-            # As TorchRL's network begins; the noise of noisy layers is left as it is.
+            # Initial values as in TorchRL's network, except for the noise of noisy layers.
             if type(layer) is nn.Linear:
                 nn.init.zeros_(layer.bias)
 
@@ -159,9 +159,9 @@ class _DuelingNetwork(nn.Module):
 class _Head(DistributionalQValueModule):
     """TorchRL's choice of the action with the best mean, from logits ``[..., Z, A]``.
 
-    It normalises too, so that whoever asks for the action alone need not; and it has no
-    look at the data, as TorchRL's check of the sign, which would keep the actor from
-    being traced.
+    It also normalises, so that this is left out where only the action is asked for. It
+    leaves out TorchRL's check of the sign, which reads numbers and would keep the actor
+    from being traced.
     """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

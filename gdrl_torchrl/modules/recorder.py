@@ -1,4 +1,4 @@
-"""Operations on tensors, noted as torch runs them."""
+"""Recording of operations on tensors while torch runs them."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 Tensors = list[torch.Tensor]
 IS_RANDOM = "draws random numbers"
-"""Key of a node's metadata, where its target does not tell."""
+"""Key of a node's metadata, for targets that do not say it."""
 _TO_PYTHON = (
     torch.Tensor.numpy,
     torch.Tensor.tolist,
     torch.Tensor.__array__,
     torch.Tensor.__dlpack__,
 )
-"""What takes numbers out of torch without an operation."""
+"""Methods that take numbers out of torch without an operation."""
 
 
 class Recorder(TorchDispatchMode):
     """Notes the operations on tensors that torch runs while it is entered.
 
-    ``make_fx`` of torch does the same and also reckons what each operation would give
-    for tensors without numbers, which takes most of its time and is not needed here.
-    Operations below autograd and ``torch.vmap`` are noted, so what these do is too.
+    Torch's ``make_fx`` does the same, but also computes the result of each operation for
+    tensors without numbers, which takes most of its time and is not needed here.
+    Operations are noted below autograd and ``torch.vmap``, so the operations that these
+    two run are noted too.
 
     Args:
-        tensors: What the function that is noted depends on. Others that it has from
-            elsewhere are constants of the graph: their numbers are not copied.
+        tensors: Arguments of the function that is noted. Other tensors that it uses are
+            constants of the graph: their numbers are not copied.
 
     Raises:
-        ValueError: From an operation that makes a Python number of tensors, if they
-            depend on those given, or on random draws; from one that makes an array or a
-            list in any case.
+        ValueError: If an operation makes a Python number of tensors that depend on the
+            given ones or on random draws, or makes an array or a list of any tensor.
 
     Examples:
         >>> tensors = [torch.ones(2), torch.ones(2)]
@@ -53,9 +53,9 @@ class Recorder(TorchDispatchMode):
         super().__init__()
         self._graph = fx.Graph()
         self._constants: dict[str, torch.Tensor] = {}
-        # Tensors are told apart by identity, so each is kept.
+        # Tensors are identified by their id, so each is kept alive.
         self._noted: dict[int, tuple[torch.Tensor, fx.Node]] = {}
-        # Nodes that give the same numbers whatever the tensors are.
+        # Nodes whose numbers do not depend on the given tensors.
         self._fixed: set[fx.Node] = set()
         for i, tensor in enumerate(tensors):
             self._note(tensor, self._graph.placeholder(f"tensor_{i}"))
@@ -70,7 +70,7 @@ class Recorder(TorchDispatchMode):
         self._guard.__exit__(*error)
 
     def whole(self, outputs: Sequence[torch.Tensor]) -> fx.GraphModule:
-        """The function of the tensors that was run, as it gave ``outputs``."""
+        """The function of the given tensors that returned ``outputs``, as a graph."""
         self._graph.output(self._nodes(tuple(outputs)))
         return fx.GraphModule(self._constants, self._graph)
 
@@ -80,13 +80,13 @@ class Recorder(TorchDispatchMode):
         result = func(*args, **(kwargs or {}))
         node = self._graph.call_function(func, self._nodes(args), self._nodes(kwargs or {}))
         if mutates(node):
-            self._fixed.clear()  # it may have written into any of them
+            self._fixed.clear()  # the node may have written into any of them
         elif self._fixed.issuperset(node.all_input_nodes) and not is_random(node):
             self._fixed.add(node)
         elif torch.Tag.data_dependent_output in func.tags:
             raise ValueError(f"{func} looks at numbers")
         if func is torch.ops.aten.detach.default:
-            # A graph knows nothing of gradients.
+            # A graph is run without gradients, so there is nothing to detach.
             self._noted[id(result)] = result, node.all_input_nodes[0]
         else:
             self._note(result, node)
@@ -117,7 +117,7 @@ class Recorder(TorchDispatchMode):
 
 
 class _StayInTorch(TorchFunctionMode):
-    """Refuses what would take numbers out of torch: no operation would tell of it."""
+    """Refuses methods that take numbers out of torch, since no operation shows them."""
 
     def __torch_function__(
         self, func: Any, types: Any, args: Any = (), kwargs: Any = None
@@ -134,6 +134,6 @@ def is_random(node: fx.Node) -> bool:
 
 
 def mutates(node: fx.Node) -> bool:
-    """Whether an operation writes into a tensor that it is given."""
+    """Whether an operation writes into one of its arguments."""
     schema = getattr(node.target, "_schema", None)
     return schema is not None and schema.is_mutable

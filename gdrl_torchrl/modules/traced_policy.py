@@ -1,4 +1,4 @@
-"""A policy that acts on a few rows, without Python's share of the work."""
+"""A policy that acts on a few rows, with little Python between its operations."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from gdrl_torchrl.modules.private_copy import plain_attributes
 
 
 class TracedPolicy:
-    """Some outputs of a policy for rows of numbers, exploring as it is set to.
+    """Some outputs of a policy for rows of numbers, with the exploration that is set.
 
-    For a few rows nearly all of a policy's time is Python's: modules, tensordicts,
-    distributions. Here it is traced once to a graph of tensor operations, and outputs
-    that nobody asks for are not computed. It draws from torch's global generator what
-    the policy would. The graph is used only if it gives the policy's own numbers, bit for
-    bit; otherwise the policy is run. It is traced anew where a mode, or a number or text
-    among the attributes of its modules, has changed.
+    For a few rows nearly all of a policy's time goes into Python: modules, tensordicts,
+    distributions. Here the policy is traced once to a graph of tensor operations, and
+    outputs that are not asked for are not computed. The graph draws the same numbers from
+    torch's global generator as the policy. It is used only if it gives the policy's
+    numbers, bit for bit; otherwise the policy is run. The policy is traced anew when a
+    mode of its modules, or an attribute that is a number or text, has changed.
 
     Args:
         policy: Any policy whose inputs are tensors.
         out_keys: The outputs that are wanted.
         trace: Whether to trace. A policy that keeps a state in Python objects must not
-            be: tracing runs it.
+            be traced, because tracing runs it and so changes its state.
 
     Examples:
         >>> from torchrl.data import Bounded
@@ -58,16 +58,16 @@ class TracedPolicy:
 
     @torch.no_grad()
     def bind(self, inputs: Tensors) -> Callable[..., Sequence[torch.Tensor]]:
-        """The policy with its weights and buffers as they are now.
+        """Make a function of the policy with its weights and buffers as they are now.
 
         Args:
-            inputs: Any ``[B, ...]``, in the order of the keys.
+            inputs: Any inputs ``[B, ...]``, in the order of the policy's keys.
 
         Returns:
-            A function of inputs of those shapes, one by one, that gives the outputs
-            ``[B, ...]``, exploring as is set now.
+            A function of inputs of these shapes, one argument each, that gives the
+            outputs ``[B, ...]`` with the exploration that is set now.
         """
-        # All that the operations depend on beside the numbers.
+        # All that the operations depend on, except numbers.
         key = (
             tuple((x.shape, x.dtype) for x in inputs),
             exploration_type(),

@@ -44,8 +44,8 @@ def make_ppo_loss(
         loss_critic_type="l2",
         normalize_advantage=config.normalize_advantage,
     )
-    # Observations after a reset are not the ones that followed: shifted=False values
-    # both sides of every step, here in two calls, which are faster than one over both.
+    # After an episode's end the next row is not what followed: shifted=False computes the
+    # values of both sides of every step, in two calls, which are faster than one over both.
     advantage = GAE(
         gamma=config.gamma,
         lmbda=config.lmbda,

@@ -30,11 +30,11 @@ class RainbowLoss(DistributionalDQNLoss):
     ``steps_to_next_obs`` (1 if missing), each ``[B]`` or ``[B, 1]``, and of ``next``
     the ``observation``, ``reward`` (the discounted sum over these steps) and
     ``terminated``. It writes ``td_error`` ``[B, 1]``: the KL divergence, which
-    Rainbow takes for priority. The cross-entropy is larger by the entropy of the
-    target, which no learning removes: it would replay the most uncertain transitions
+    Rainbow takes as priority. The cross-entropy is larger by the entropy of the target,
+    which no learning removes: with it the most uncertain transitions would be replayed
     for ever.
 
-    Neither :func:`soft_update_target` nor :func:`resample_noise` is called here.
+    The loss calls neither :func:`soft_update_target` nor :func:`resample_noise`.
 
     Args:
         value_network: An actor of
@@ -62,8 +62,8 @@ class RainbowLoss(DistributionalDQNLoss):
         (['clipped_mass', 'loss', 'q_mean'], torch.Size([7, 1]))
     """
 
-    # TorchRL's losses run without exploration; noisy layers then use their means only
-    # and the scales of the noise never get a gradient.
+    # TorchRL's losses run without exploration. Noisy layers would then use their means
+    # only, and the scales of the noise would never get a gradient.
     deterministic_sampling_mode: Any = ExplorationType.RANDOM
 
     def __init__(self, value_network: DistributionalQValueActor, *, gamma: float) -> None:
@@ -82,19 +82,19 @@ class RainbowLoss(DistributionalDQNLoss):
                 f"support must be evenly spaced and increasing: {value_network.support}"
             )
         super().__init__(value_network, gamma=gamma, delay_value=True)
-        # TorchRL looks for one of its updaters at every call and warns without one.
+        # At every call TorchRL looks for one of its target updaters, and warns without one.
         self._has_update_associated["value_network"] = True
 
     @property
     def in_keys(self) -> list[Any]:
-        """What it must find; ``repr`` of TorchRL's own loss fails for want of them."""
+        """Keys that the loss reads; without them ``repr`` of TorchRL's own loss fails."""
         names, observed = self.tensor_keys, list(self._network.in_keys)
         flags = [("next", key) for key in (*observed, names.reward, names.terminated)]
         return [*observed, names.action, *flags]
 
     @property
     def out_keys(self) -> list[Any]:
-        """What it returns."""
+        """Keys that the loss returns."""
         return ["loss", "q_mean", "clipped_mass"]
 
     def forward(self, input_tensordict: TensorDictBase) -> TensorDict:
@@ -103,8 +103,8 @@ class RainbowLoss(DistributionalDQNLoss):
         Returns:
             ``loss``, and detached ``q_mean`` (the mean value of the actions taken) and
             ``clipped_mass``: the share of the targets' probability outside the
-            support. It is 0 if no reward leads from a value of the support out of it,
-            ``v_min <= reward + gamma * v <= v_max``.
+            support. It is 0 if ``v_min <= reward + gamma * v <= v_max`` for all rewards
+            and all values ``v`` of the support.
 
         Raises:
             ValueError: If the batch has not one dimension.
@@ -121,13 +121,13 @@ class RainbowLoss(DistributionalDQNLoss):
             with torch.no_grad():
                 ahead = self._logits(following)
         with torch.no_grad():
-            # The action with the best mean; no gradient needs its logarithms.
+            # The action with the best mean; this needs no logarithms and no gradient.
             best = (ahead.softmax(-1) @ support).argmax(-1)
             with self._target():
                 values = _of_actions(self._logits(following), best).softmax(-1)
             steps = batch.get(names.steps_to_next_obs, support.new_ones(size))
-            # Shapes are forced: [B] against [B, 1] would broadcast to [B, B], which
-            # passes for [B, Z] if there are as many transitions as atoms.
+            # Shapes are forced: [B] with [B, 1] would broadcast to [B, B], which would be
+            # taken for [B, Z] if there are as many transitions as atoms.
             goes_on = ~following[names.terminated].reshape(size, 1)
             target, clipped = project(
                 values,
@@ -142,7 +142,7 @@ class RainbowLoss(DistributionalDQNLoss):
         log_values = _of_actions(logits, action.reshape(size)).log_softmax(-1)
         cross_entropy = -(target * log_values).sum(-1)
         with torch.no_grad():
-            # Rounding must not make it negative: prioritised replay takes powers of it.
+            # Rounding must not make it negative, because prioritised replay takes powers.
             divergence = cross_entropy + torch.xlogy(target, target).sum(-1)
             batch.set(names.priority, divergence.clamp_min(0.0).unsqueeze(-1))
             q_mean = (log_values.exp() * support).sum(-1).mean()
@@ -156,7 +156,7 @@ class RainbowLoss(DistributionalDQNLoss):
     @property
     def _network(self) -> Any:
         # Only the first part of the actor has parameters. Its heads normalise and
-        # choose for all actions; normalising what is normalised changes nothing.
+        # choose for all actions; normalising twice would change nothing.
         actor: Any = self.value_network
         return actor.module[0]
 
@@ -170,7 +170,7 @@ class RainbowLoss(DistributionalDQNLoss):
     def _installed(self, params: Any) -> Iterator[None]:
         own, error = params.get(("module", "0")), None
         with own.to_module(self._network, preserve_module_state=False):
-            # After an exception tensordict would leave the network as it is now.
+            # Without this tensordict would leave these weights in after an exception.
             try:
                 yield
             except Exception as raised:
@@ -181,7 +181,7 @@ class RainbowLoss(DistributionalDQNLoss):
     def _logits(self, rows: TensorDictBase) -> torch.Tensor:
         inputs = rows.select(*self._network.in_keys)
         values = self._network(inputs).get(self.tensor_keys.action_value)
-        # Atoms last: that is how our network has them in memory.
+        # Atoms last, as our network has them in memory.
         return values.transpose(-1, -2)
 
 
@@ -214,11 +214,11 @@ def project(
     position = (reward + discount * support - support[0]) / gap
     outside = (position < -TOLERANCE) | (position > last + TOLERANCE)
     position = position.clamp(0.0, last)
-    # The atom below, but never the last: a position on an atom then needs no special
-    # case, all of its probability goes to one of the two.
+    # The atom below, but never the last atom. A position on an atom is then no special
+    # case: all of its probability goes to one of the two neighbours.
     below = position.long().clamp_max(last - 1)
     upper = values * (position - below)
-    # Nothing is written in place: that would keep the loss from being traced.
+    # Nothing is written in place, because that would keep the loss from being traced.
     projected = torch.zeros_like(values).scatter_add(-1, below, values - upper)
     projected = projected.scatter_add(-1, below + 1, upper)
     return projected, (values * outside).sum(-1)
@@ -228,12 +228,12 @@ def project(
 def soft_update_target(loss: RainbowLoss, tau: float) -> None:
     """Move the target network a share ``tau`` of the way to the online one, in place.
 
-    TorchRL's ``SoftUpdate`` copies the online network when it is made; this has no
-    such moment. The noise of the target network is left alone.
+    TorchRL's ``SoftUpdate`` copies the online network when it is made; this function
+    never does. The noise of the target network does not change.
 
     Args:
         loss: The loss that has both networks.
-        tau: 0 leaves the target, 1 copies the online network.
+        tau: 0 leaves the target unchanged, 1 copies the online network.
 
     Raises:
         ValueError: If ``tau`` is outside ``[0, 1]``.
@@ -251,7 +251,7 @@ def soft_update_target(loss: RainbowLoss, tau: float) -> None:
 def target_and_online(loss: RainbowLoss) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
     """Parameters of the target network and of the online one, in the same order.
 
-    They share the memory of the loss's.
+    They share memory with the parameters of the loss.
     """
     online, target = loss.value_network_params, loss.target_value_network_params
     pairs = [
@@ -268,8 +268,8 @@ def resample_noise(loss: RainbowLoss) -> None:
     """Draw new noise for the online and for the target network, one after the other.
 
     ``loss.apply(reset_noise)`` does nothing, as losses hide their networks from
-    ``apply``, and no updater of TorchRL touches the target's noise. An actor that the
-    loss was made of shares the online noise. Networks without noise are left alone.
+    ``apply``, and no updater of TorchRL touches the target's noise. The actor that the
+    loss was made with shares the online noise. Networks without noise do not change.
 
     Args:
         loss: The loss that has both networks.
@@ -289,8 +289,8 @@ def resample_noise(loss: RainbowLoss) -> None:
 
 
 def _of_actions(logits: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-    """What ``[B, A, Z]`` says of actions ``[B]``: ``[B, Z]``."""
+    """Logits ``[B, Z]`` of actions ``[B]``, from those of all actions ``[B, A, Z]``."""
     count = logits.shape[1]
     rows = torch.arange(0, count * len(action), count, device=action.device)
-    # By one index: two take twice the time, forth and back.
+    # With one index: two take twice the time in the forward and the backward pass.
     return logits.flatten(0, 1).index_select(0, rows + action)

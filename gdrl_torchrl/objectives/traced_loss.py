@@ -17,18 +17,18 @@ from gdrl_torchrl.modules.private_copy import plain_attributes
 class TracedLoss:
     """A loss module's losses and gradients for minibatches that are alike.
 
-    Half and more of the time of a small network's update is Python's: tensordicts,
+    At least half of the time of a small network's update goes into Python: tensordicts,
     modules, distributions, autograd's bookkeeping. Here loss and backward pass are traced
-    once to a graph of tensor operations. The graph is used only if it gives losses and
-    gradients of the module itself, bit for bit; otherwise that is run.
+    once to a graph of tensor operations. The graph is used only if it gives the losses and
+    gradients of the module, bit for bit; otherwise the module is run.
 
     Args:
-        loss: The loss module. What it does must not depend on anything but the
-            minibatch, its parameters, its buffers and torch's global generator. These
+        loss: The loss module. It must depend on nothing but the minibatch, its
+            parameters, its buffers and torch's global generator. Parameters and buffers
             may change in place, but must stay the same tensors.
-        parameters: What gradients are taken of; the sum of all entries whose names begin
-            with ``loss`` is minimised, as TorchRL's trainers do.
-        diagnostics: Other entries that are wanted; None are all. What nobody wants is not
+        parameters: Parameters whose gradients are computed. As in TorchRL's trainers the
+            sum of all entries whose names begin with ``loss`` is minimised.
+        diagnostics: Other entries that are returned; None means all. The others are not
             computed.
 
     Examples:
@@ -62,7 +62,7 @@ class TracedLoss:
         self.loss = loss
         self.parameters = list(parameters)
         self.diagnostics = None if diagnostics is None else set(diagnostics)
-        # Losses hide their networks from ``modules()``.
+        # Losses hide their networks from ``modules()``, so look at attributes too.
         parts = [loss, *(x for x in vars(loss).values() if isinstance(x, nn.Module))]
         every = (module for part in parts for module in part.modules())
         self._attributes = plain_attributes(dict.fromkeys(every))
@@ -71,8 +71,8 @@ class TracedLoss:
     def backward(self, batch: TensorDictBase) -> TensorDict:
         """Set the parameters' gradients to those of a minibatch.
 
-        Whatever they were before is gone. Entries that the loss writes, such as
-        priorities, are written to the minibatch.
+        Earlier gradients are replaced. Entries that the loss writes, such as priorities,
+        are written to the minibatch.
 
         Args:
             batch: A minibatch ``[B]``.
@@ -86,14 +86,14 @@ class TracedLoss:
         return self._traced[key](batch)
 
     def _signature(self, batch: TensorDictBase) -> Any:
-        """What the operations depend on, beside the numbers and the types of entries."""
+        """What the operations depend on, except numbers and types of entries."""
         following = batch.get("next", None)
         names = () if following is None else tuple(following.keys())
         return batch.batch_size, tuple(batch.keys()), names, self._attributes()
 
 
 class _Traced:
-    """The graph for minibatches of one kind, or the loss itself."""
+    """The graph for minibatches of one kind, or the loss itself where tracing failed."""
 
     def __init__(self, owner: TracedLoss, batch: TensorDictBase) -> None:
         self.loss, self.parameters = owner.loss, owner.parameters
@@ -119,7 +119,7 @@ class _Traced:
             if gradient is not None
         ]
         torch.set_rng_state(state)
-        # A network and its target may share some.
+        # A network and its target may share some weights.
         weights = [*self.loss.parameters(), *self.loss.buffers()]
         self.weights = list({id(tensor): tensor for tensor in weights}.values())
         self.graph: TracedFunction | None = trace(self._run, self.weights, tensors)

@@ -46,7 +46,7 @@ class Contest(Protocol):
 class FullContest:
     """All members over the same episodes; the best fitness wins.
 
-    The seed's rule (Marchesini and Farinelli, AAMAS 2020, section 2.1).
+    The rule of Marchesini and Farinelli (AAMAS 2020, section 2.1).
 
     Args:
         tie_rule: Who wins among equals, see

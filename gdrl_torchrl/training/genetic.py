@@ -52,7 +52,7 @@ class GeneticHook(PopulationHook):
         tie_rule: Who wins among equals in that default contest, see
             :func:`~gdrl_torchrl.evolution.selection.select_best`.
         own_share: Share of its own weights that the agent keeps on a switch: 0 replaces
-            it, as in the seed; 0.3 is the soft update of Supe-RL (ICLR 2021).
+            it, as in AAMAS 2020; 0.3 is the soft update of Supe-RL (ICLR 2021).
         window_episodes: Training episodes that the success rate is over.
         optimizer: Optimiser whose moments of the actor ``optimizer_on_switch`` is about.
         optimizer_on_switch: ``keep`` or ``reset`` those moments on a switch.

@@ -9,18 +9,18 @@ import numpy as np
 _ROWS = 10
 """Most rows of a block."""
 _FEWEST_BLOCKS = 2
-"""A batch of fewer blocks is no faster."""
+"""A batch with fewer blocks would be no faster."""
 _SHRINK = 0.75
-"""Each shape has about this share of the blocks of the one before."""
+"""Each shape has about this share of the blocks of the next larger one."""
 _PART_PRODUCTS = 10_000_000
-"""Products of weights and rows in a part: a millisecond, in whose operations threads get
-into each other's way no more, and which the processor's cache still holds."""
+"""Products of weights and rows in a part. A part takes a millisecond: long enough that
+threads do not hinder each other, and small enough for the processor's cache."""
 
 
 class BlockShape(NamedTuple):
-    """Parts, each of as many blocks of as many rows.
+    """Number of parts, of blocks in each part, and of rows in each block.
 
-    Parts do not depend on the number of threads that run them.
+    The parts do not depend on the number of threads that run them.
     """
 
     parts: int
@@ -29,12 +29,12 @@ class BlockShape(NamedTuple):
 
     @property
     def count(self) -> int:
-        """Blocks of all parts."""
+        """Number of blocks in all parts."""
         return self.parts * self.blocks
 
 
 def block_shapes(members: int, trials: int, num_parameters: int) -> list[BlockShape]:
-    """Every shape of a batch that acts, from the first to the smallest.
+    """Every shape that a batch of acting worlds may have, the largest first.
 
     Args:
         members: Members of the population.
@@ -57,7 +57,7 @@ def block_shapes(members: int, trials: int, num_parameters: int) -> list[BlockSh
 
 
 def blocks_needed(live: np.ndarray, trials: int, rows: int) -> int:
-    """Blocks that hold all live worlds ``[L]``, each of member ``world // trials``."""
+    """Number of blocks for all live worlds ``[L]``, each of member ``world // trials``."""
     return int((-(-np.bincount(live // trials) // rows)).sum())
 
 
@@ -66,13 +66,14 @@ def fill_blocks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Worlds by block ``[K, B]`` and the member of each block ``[K]``.
 
-    Where a block has fewer worlds its first fills it up: it acts twice, the same. So do
-    blocks that are not needed, with the first block's.
+    Where a block has fewer worlds than rows, its first world fills it up: that world acts
+    more than once, with the same result. Blocks that are not needed are filled with the
+    first world of the first block.
 
     Args:
         live: Worlds, ascending, ``[L]``.
         trials: Worlds of a member.
-        shape: What to fill, with blocks enough.
+        shape: The shape to fill, with enough blocks.
 
     Examples:
         >>> worlds, members = fill_blocks(np.array([0, 1, 2, 5]), 3, BlockShape(1, 4, 2))

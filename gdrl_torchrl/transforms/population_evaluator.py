@@ -1,4 +1,4 @@
-"""``PopulationEvaluator``: the one place where parameters become fitness."""
+"""``PopulationEvaluator``: the only place where parameters are turned into fitness."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ class PopulationEvaluator(Transform):
     On an environment's step path the transform is the identity; :meth:`evaluate` (or
     calling the transform on a tensordict that holds ``params``) rolls the population
     out. All members and episodes run as one batch of worlds; a population that needs
-    more worlds than there are runs in chunks. Every evaluation draws fresh episodes,
-    the same for every member, and a member's score is over the first ``S`` episodes
-    that it began, however long they last.
+    more worlds than the environment has runs in chunks. Every evaluation draws fresh
+    episodes, the same for every member. A member's score is over the first ``S``
+    episodes that it began, however long they last.
 
     An environment without a batch (a stock dm_control or Gymnasium one) is run
     serially: member by member, episode by episode, its seed set before each reset.
 
-    Members are scored as a plain loop over them would score them; policies that cannot
-    act as a batch act one by one (``docs/extending/policies.md``).
+    The scores are those of a plain loop over the members. Policies that cannot act as a
+    batch act one by one (``docs/extending/policies.md``).
 
     Args:
-        actor: The actor whose family is evaluated. It is not a submodule, and only read:
-            a copy of it acts, in its modes and with its buffers at that time.
+        actor: The actor whose family is evaluated. It is not a submodule and is only
+            read: a copy acts, with the actor's modes and buffers at that time.
         num_episodes: Episodes ``S`` per member.
         create_env_fn: Makes the environment to evaluate in; None takes the parent
             environment, which must not be stepped by a collector at the same time.
@@ -58,8 +58,8 @@ class PopulationEvaluator(Transform):
             ``set_seed`` seeds an environment before each reset, ``none`` leaves it
             alone; ``auto`` takes ``reset`` if the environment's worlds have seeds of
             their own and ``set_seed`` otherwise. With ``set_seed`` one member runs at a
-            time, for the worlds of a batch would differ between members, and if seeds
-            are given one episode: a batch has one seed.
+            time, because the worlds of a batch would differ between members. If seeds
+            are given, one episode runs at a time, because a batch has only one seed.
         exploration_type: How the members act.
         params_key: Where :meth:`forward` finds the population.
         success_key: Flag of the environment that marks success, read at the end of an
@@ -138,7 +138,7 @@ class PopulationEvaluator(Transform):
         self._create_env_fn = create_env_fn
         self.__dict__["_own_env"] = None
 
-    # The step path: nothing happens.
+    # On the step path nothing happens.
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict
@@ -156,7 +156,7 @@ class PopulationEvaluator(Transform):
 
         Args:
             tensordict: ``[P]`` with parameters under ``params_key``. Without them it
-                is returned as it is, as on a replay buffer that holds transitions.
+                is returned unchanged, as by a replay buffer that holds transitions.
 
         Returns:
             The same tensordict with the entries of :meth:`evaluate`.
@@ -206,14 +206,14 @@ class PopulationEvaluator(Transform):
         Returns:
             A tensordict ``[P]``: ``fitness``, ``success_rate``, ``return_mean`` and
             ``frames`` (environment steps) ``[P]``; ``successes``, ``returns``,
-            ``steps``, the extra keys and, if the environment tells, ``outcomes``
-            ``[P, S]``. A member has fitness NaN if its policy gave an action, or an
-            output that actions are chosen by, that is no number, or a return is none; if
-            all have, the log says why.
+            ``steps``, the extra keys and, if the environment gives them, ``outcomes``
+            ``[P, S]``. A member has fitness NaN if one of its actions, of its returns or
+            of the outputs that its actions are chosen by is not a number. If all members
+            have fitness NaN, the log says why.
 
         Raises:
             ValueError: If ``params`` do not fit the policy, ``seeds`` are not ``[S]``,
-                or the policy or the fitness need what the environment has not.
+                or the policy or the fitness needs an entry that the environment lacks.
             RuntimeError: If there is no environment, or an episode does not end.
         """
         return self._evaluate(params, seeds, keep_transitions=False)[0]
@@ -222,7 +222,7 @@ class PopulationEvaluator(Transform):
     def evaluate_with_transitions(
         self, params: TensorDictBase, *, seeds: torch.Tensor | None = None
     ) -> tuple[TensorDictBase, TensorDictBase]:
-        """As :meth:`evaluate`, with every transition of the evaluation.
+        """Do the same as :meth:`evaluate`, and return every transition too.
 
         Returns:
             The scores ``[P]`` and the transitions ``[N]`` of all episodes, each whole
@@ -233,7 +233,7 @@ class PopulationEvaluator(Transform):
         return scores, transitions
 
     def fresh_seeds(self, count: int) -> torch.Tensor:
-        """Seeds of the next fitness episodes, int64 ``[count]``; none comes twice."""
+        """Seeds of the next fitness episodes, int64 ``[count]``; no seed comes twice."""
         start = self.episodes_drawn
         self.episodes_drawn += count
         return torch.from_numpy(episode_seeds(Stream.FITNESS, self.seed, start, count))
@@ -280,7 +280,7 @@ class PopulationEvaluator(Transform):
         return self._summary(scores, env), ordered_episodes(log)
 
     def _check_inputs(self, env: EnvBase) -> None:
-        """Raise ValueError if the policy reads what the environment does not give."""
+        """Raise ValueError if the policy reads an entry that the environment lacks."""
         offered = {*env.full_observation_spec.keys(True), *env.full_done_spec.keys(True)}
         missing = [key for key in self.population.in_keys if key not in offered]
         if missing:
@@ -298,7 +298,7 @@ class PopulationEvaluator(Transform):
         return "reset" if has_seeds else "set_seed"
 
     def final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
-        """Entries to read at the end of an episode, and the names they get."""
+        """Entries to read at the end of an episode, and their names in the result."""
         wanted = {self.success_key: "success", keys.OUTCOME: keys.OUTCOMES}
         wanted |= {key: key for key in self.extra_keys}
         offered = set(env.full_observation_spec.keys(True, True))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
 
 LONGEST_EPISODE = 100_000
-"""Steps after which an episode without a limit is taken for one that never ends."""
+"""After so many steps an episode without a limit is taken to be endless."""
 
 
 class PopulationRollout:
@@ -60,7 +60,7 @@ class PopulationRollout:
             following = td["next"]
             reward = following[keys.REWARD].reshape(worlds).to(torch.float64)
             done = following[keys.DONE].reshape(worlds)
-            # Frozen worlds repeat their last step: nothing of it counts.
+            # Worlds whose episode has ended repeat their last step, which does not count.
             returns += torch.where(alive, reward, 0.0)
             steps += alive
             cut = torch.zeros_like(done) if limit is None else steps >= limit
@@ -114,8 +114,8 @@ class PopulationRollout:
         if used < self.env.batch_size.numel():
             idle = rows[:1].expand(self.env.batch_size.numel() - used)
             rows = torch.cat([rows, idle.clone()])
-        # Not everything that a policy says: the value distributions of all actions
-        # would make up most of a transition.
+        # Not all outputs of the policy are kept: the value distributions of all actions
+        # would be most of a transition.
         needed = rows.select(*self.env.action_keys, "next", strict=False)
         return td.update(needed.reshape(self.env.batch_size))
 
@@ -127,7 +127,7 @@ class PopulationRollout:
         offset: tuple[int, int],
         cut: torch.Tensor,
     ) -> TensorDictBase:
-        """Transitions ``[L]`` of worlds that are alive, truncated where they are cut."""
+        """Transitions ``[L]`` of living worlds, truncated where episodes are cut."""
         trials = self.scores.batch_size[1]
         flat = td.exclude(keys.STEP_MASK).reshape(-1)[alive].clone()
         world = alive.nonzero()[:, 0]
@@ -139,9 +139,9 @@ class PopulationRollout:
 
 
 def mark_truncated(following: TensorDictBase, cut: torch.Tensor) -> None:
-    """Let transitions end where an episode is cut off, ``[N]``.
+    """Mark transitions ``[N]`` as truncated where an episode is cut off.
 
-    What follows them is another episode, and their last observation has a value.
+    The next transition is of another episode, and the last observation has a value.
     """
     shape = following[keys.DONE].shape
     for key in (keys.DONE, keys.TRUNCATED):

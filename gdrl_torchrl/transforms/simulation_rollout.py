@@ -1,4 +1,4 @@
-"""A population's episodes straight on a simulation, with nothing between the two."""
+"""A population's episodes directly on a simulation, without an environment between."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ _ROWS_SHOWN = 3
 def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
     """The simulation that an environment is a plain view of, or None.
 
-    Also None if the evaluation asks for something that only the environment can tell,
-    or an action depends on more than what its world observes: worlds act in blocks here.
+    Also None if the evaluation needs something that only the environment has, or if an
+    action depends on more than what its own world observes, because worlds act in blocks
+    here.
     """
-    # Its own attribute: wrappers pass on those of what they wrap.
+    # The attribute must be its own: wrappers pass on attributes of what they wrap.
     simulation = vars(env).get("simulation")
     if not isinstance(simulation, BatchSimulation):
         return None
@@ -49,10 +50,11 @@ def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulati
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Let torch compute on the thread that calls it alone.
+    """Let torch compute on the calling thread only.
 
-    Its own threads look for work for milliseconds after every operation, on the
-    processors that the engine needs: an evaluation took 1.3 to 1.6 times as long.
+    Torch's own threads look for work for milliseconds after every operation, on the
+    processors that the engine needs: with them an evaluation took 1.3 to 1.6 times as
+    long.
     """
     count = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -63,12 +65,12 @@ def one_torch_thread() -> Iterator[None]:
 
 
 class SimulationRollout:
-    """As ``PopulationRollout``, with no tensordict of the environment per step.
+    """A ``PopulationRollout`` that makes no tensordict of the environment at each step.
 
-    Steps only the worlds whose episodes go on. They act in blocks of a few rows, each
+    It steps only the worlds whose episodes go on. They act in blocks of a few rows, each
     with the weights of its member, and there are fewer blocks as episodes end. Many
-    blocks act in parts, on as many threads as the simulation has. What is left of the
-    time is the engine's and the policy's.
+    blocks act in parts, on as many threads as the simulation has. Nearly all of the time
+    is then the engine's and the policy's.
     """
 
     def __init__(
@@ -119,7 +121,7 @@ class SimulationRollout:
             finite[live] &= is_number[rows]
             result = simulation.step(action[rows], live)
             observation[live] = result.observation
-            # Through float32, as an environment's rewards are.
+            # Rounded to float32, as an environment's rewards are.
             reward = result.reward.astype(np.float32)
             returns[live] += reward
             steps[live] += 1
@@ -143,7 +145,7 @@ class SimulationRollout:
     def _act(
         self, observation: np.ndarray, slots: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Actions and whether they are numbers, of the worlds in the slots, ``[R]``."""
+        """Actions of the worlds in the slots, and whether they are numbers, ``[R]``."""
         chosen = torch.from_numpy(observation[slots])
         if self.act is None:
             inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
@@ -190,8 +192,8 @@ class _EpisodeLog:
     """Transitions of episodes, each world's from its first step to its last.
 
     Args:
-        env: The environment that the worlds are of.
-        observation: What they observe before the first step, ``[W, D]``, float32.
+        env: The environment of the worlds.
+        observation: What the worlds observe before the first step, ``[W, D]``, float32.
     """
 
     def __init__(self, env: Any, observation: np.ndarray) -> None:
@@ -207,15 +209,15 @@ class _EpisodeLog:
         reward: np.ndarray,
         observation: np.ndarray,
     ) -> None:
-        """Note a step of worlds ``[K]``, by actions and with rewards ``[K, ...]``.
+        """Note a step of worlds ``[K]``, with its actions and rewards ``[K, ...]``.
 
-        ``observation`` ``[W, D]`` is what all worlds observe after it.
+        ``observation`` ``[W, D]`` is what all worlds observe after the step.
         """
         after = [self._arrays[name][worlds] for name in self._first]
         self._steps.append((worlds, action, reward, observation[worlds], *after))
 
     def transitions(self, trials: int, offset: tuple[int, int]) -> TensorDictBase:
-        """All transitions ``[N]`` in the environment's entries, world after world.
+        """All transitions ``[N]`` with the environment's entries, world after world.
 
         World ``w`` played episode ``w % trials`` of member ``w // trials``, both counted
         from ``offset``.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gdrl_tasks.batch import BatchSimulation, StepResult
     from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
 
-# What imports MuJoCo and numba, which take half a second, is imported when it is used.
+# Modules that import MuJoCo and numba, which take half a second, are imported on use.
 _LAZY = {
     "BatchSimulation": "gdrl_tasks.batch",
     "StepResult": "gdrl_tasks.batch",

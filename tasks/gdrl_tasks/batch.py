@@ -21,13 +21,13 @@ from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
 _logger = logging.getLogger(__name__)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
 _WORLDS_PER_THREAD = 8
-"""Below this many worlds a second thread costs more than it saves."""
+"""With fewer worlds a second thread costs more time than it saves."""
 _WORLDS_PER_SHARD = 20
-"""The same where every thread runs a loop over substeps, and they take turns in Python."""
+"""The same for threads that each run a loop over substeps and take turns in Python."""
 
 
 class StepResult(NamedTuple):
-    """What one control step gave, for the ``K`` worlds that stepped."""
+    """Results of one control step, for the ``K`` worlds that stepped."""
 
     observation: np.ndarray
     """``[K, D]``, float64."""
@@ -44,8 +44,8 @@ class StepResult(NamedTuple):
 class BatchSimulation:
     """``W`` worlds of one task, each with its own episode.
 
-    Worlds that are not named in a call stay as they are and cost nothing. Results are
-    bit-identical at any number of threads.
+    Worlds that are not named in a call do not change and cost nothing. Results are
+    bit-identical for any number of threads.
 
     Args:
         task: The task.
@@ -56,9 +56,9 @@ class BatchSimulation:
 
     Attributes:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
-        seed: The seed, given or taken: with it the same episodes are drawn again.
-        qpos: Generalised positions of all worlds, ``[W, nq]``; a write is the state at
-            the next step.
+        seed: The seed in use, given or not: with it the same episodes are drawn again.
+        qpos: Generalised positions of all worlds, ``[W, nq]``; written values are the
+            state at the next step.
         qvel: Generalised velocities of all worlds, ``[W, nv]``, likewise.
 
     Raises:
@@ -120,7 +120,7 @@ class BatchSimulation:
 
         Args:
             ids: The worlds, ``[K]``, or None for all.
-            seeds: Episode seeds ``[K]``; None draws the next ones of the training
+            seeds: Episode seeds ``[K]``; None takes the next seeds of the training
                 stream.
 
         Returns:
@@ -144,7 +144,7 @@ class BatchSimulation:
             raise ValueError(f"seeds={seeds.min()} must be >= 0")
         for shard, own in zip(self._shards, self._split(ids), strict=True):
             shard.reset(own)
-        # A population shares its episodes: each is drawn once.
+        # Members of a population share their episodes, so each is drawn only once.
         for seed in dict.fromkeys(seeds.tolist()):
             rows = ids[seeds == seed]
             episode = self.task.draw_episode(seed)
@@ -165,7 +165,7 @@ class BatchSimulation:
             ids: The worlds, ``[K]``, or None for all.
 
         Returns:
-            What the step gave, for those worlds.
+            Results of the step, for those worlds.
 
         Raises:
             RuntimeError: If no episode is running in one of those worlds: it has ended,
@@ -182,7 +182,7 @@ class BatchSimulation:
             healthy &= finite if action.ndim == 1 else finite.all(axis=1)
         if self._memory is not None:
             self._memory.note()
-        # Rows are picked only where some world is not healthy: picking copies.
+        # Rows are picked only if some world is not healthy, because picking copies.
         all_healthy = np.count_nonzero(healthy) == len(ids)
         rows = slice(None) if all_healthy else healthy
         self.task.set_action(self.arrays, ids[rows], action[rows])
@@ -201,9 +201,9 @@ class BatchSimulation:
         return StepResult(observation, reward, terminated, truncated, outcome)
 
     def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:
-        """Call a function with every world that diverges, once in an episode.
+        """Call a function with every world that diverges, at most once in an episode.
 
-        From now on the state before every step is kept: one copy of it.
+        From now on one copy of the state before the last step is kept.
         """
         self._on_divergence = on_divergence
         engines = [shard.batch.state for shard in self._shards]
@@ -216,7 +216,7 @@ class BatchSimulation:
         return self.task.observe(self.arrays, ids, self.qpos[ids], self.qvel[ids])
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything that the future depends on, as a dict of arrays (copies)."""
+        """All that future steps depend on, as a dict of arrays (copies)."""
         state = {f"arrays.{name}": value.copy() for name, value in self.arrays.items()}
         state["qpos"], state["qvel"] = self.qpos.copy(), self.qvel.copy()
         engines = [shard.batch.state for shard in self._shards]
@@ -244,7 +244,7 @@ class BatchSimulation:
         self.qpos[...], self.qvel[...] = state["qpos"], state["qvel"]
         for shard, low in zip(self._shards, self._bounds[:-1], strict=True):
             rows = shard.batch.state
-            # Counters of warnings are not part of the state: start them afresh.
+            # Counters of warnings are not part of the state, so they start anew.
             shard.reset(np.arange(len(rows)))
             rows[...] = state["engine"][low : low + len(rows)]
             shard.write_model(np.arange(len(rows)))
@@ -269,7 +269,7 @@ class BatchSimulation:
         )
 
     def _split(self, ids: WorldIndex) -> list[WorldIndex]:
-        """The worlds of each shard among ``ids``, numbered within the shard."""
+        """Worlds among ``ids`` of each shard, numbered within the shard."""
         if len(self._shards) == 1:
             return [ids]
         cuts = np.searchsorted(ids, self._bounds)
@@ -279,7 +279,7 @@ class BatchSimulation:
         ]
 
     def _advance(self, ids: WorldIndex) -> np.ndarray:
-        """Step worlds; mask of those that diverged, ``[K]``."""
+        """Step worlds; returns the mask of those that diverged, ``[K]``."""
         parts = self._split(ids)
         waiting = [
             self._pool.submit(shard.advance, own)

@@ -1,7 +1,7 @@
 """Checks of options: errors name the option, its value and what it must be.
 
-A dataclass says beside a field what its value may be; :func:`check_fields`, called when
-an object is made, holds every field to that and to its type.
+The metadata of a dataclass's fields say which values are allowed. :func:`check_fields`
+checks every field against its metadata and its type when an object is made.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Range:
 
     def __contains__(self, value: Any) -> bool:
         inside = self.above < value < self.below and self.least <= value <= self.most
-        # A bound of infinity does not exclude itself, and NaN passes no comparison.
+        # An infinite bound does not exclude infinity, and NaN passes no comparison.
         return inside and abs(value) < math.inf
 
     def __str__(self) -> str:
@@ -60,7 +60,7 @@ def limits(*, lengths: tuple[int, int] | None = None, **bounds: float) -> dict[s
 
     Args:
         lengths: Fewest and most elements, if it is a sequence.
-        **bounds: Of the range.
+        **bounds: Bounds of the range.
     """
     return {"lengths": lengths, "range": Range(**bounds)}
 
@@ -76,14 +76,14 @@ def among(default: Any, choices: Collection[str]) -> Any:
 
 
 def check_fields(options: Any, group: str = "") -> None:
-    """Hold every field of a dataclass's object to its type and to its range.
+    """Check every field of a dataclass's object against its type and its range.
 
-    What is equal but of another type becomes that of the field: numbers of NumPy become
-    Python's, sequences tuples.
+    A value that only has another type is converted to that of the field: numbers of NumPy
+    to Python's, sequences to tuples.
 
     Args:
         options: The object.
-        group: What errors put before the names of its fields.
+        group: Prefix of the names of its fields in errors.
 
     Raises:
         ValueError: If a value does not fit.
@@ -102,7 +102,7 @@ def check_fields(options: Any, group: str = "") -> None:
         if not _fits(value, kind, field.metadata):
             name = f"{group}.{field.name}" if group else field.name
             raise ValueError(f"{name}={value!r} must be {_described(kind, field.metadata)}")
-        # Options may be frozen; this happens while they are made.
+        # Options may be frozen, but may be changed here, while they are made.
         object.__setattr__(options, field.name, value)
 
 
@@ -158,14 +158,14 @@ def _types(owner: type) -> dict[str, Any]:
 
 
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """What a type is made of: Union, Literal, list, tuple or dict, or None, of what."""
+    """Union, Literal, list, tuple, dict or None, and the types that it is made of."""
     origin = typing.get_origin(kind)
     parts = tuple(part for part in typing.get_args(kind) if part is not Ellipsis)
     return (typing.Union if origin is types.UnionType else origin), parts
 
 
 def _plain(value: Any, kind: Any) -> Any:
-    """A value as its field holds it, if it is only of another type."""
+    """A value converted to its field's type, if it differs only in type."""
     origin, parts = _parts(kind)
     is_sequence = isinstance(value, Iterable) and not isinstance(value, str)
     if is_sequence and tuple in (origin, *map(typing.get_origin, parts)):
@@ -192,7 +192,7 @@ def _fits(value: Any, kind: Any, rules: Mapping[str, Any]) -> bool:
     if not isinstance(value, _KINDS.get(kind, (kind,))[0]):
         return False
     if kind in (int, float):
-        # True is a whole number to Python.
+        # To Python True is a whole number.
         return not isinstance(value, bool) and value in rules.get("range", Range())
     return kind is not str or value in rules.get("choices", (value,))
 

@@ -1,4 +1,4 @@
-"""Hand-written controllers: they pin how hard a task is, and show how to solve it."""
+"""Hand-written controllers: they measure how hard a task is and show how to solve it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _DIRECTIONS = 64
 def pursuit(observation: np.ndarray) -> np.ndarray:
     """Steer the vessel of the water task towards its goal.
 
-    It turns in proportion to the goal's bearing, goes ahead the more the goal lies
-    ahead, and steps over the thrusters' dead zone.
+    It turns in proportion to the goal's bearing, goes ahead faster the more the goal lies
+    ahead, and compensates the thrusters' dead zone.
 
     Args:
         observation: Flat observations that begin with the goal's distance and its
@@ -46,7 +46,7 @@ def pursuit(observation: np.ndarray) -> np.ndarray:
 
 
 def pursue_goal(observation: np.ndarray) -> np.ndarray:
-    """Turn the robot of the indoor task towards its goal, whatever stands between.
+    """Turn the robot of the indoor task towards its goal, without regard to obstacles.
 
     Args:
         observation: Flat observations, ``[W, D]``.
@@ -59,15 +59,15 @@ def pursue_goal(observation: np.ndarray) -> np.ndarray:
         [2, 4, 1]
     """
     bearing = math.pi * observation[:, 1]
-    # What half a step of 0.12 s at 45 and at 67.5 degrees/s turns.
+    # Angles turned in half a step of 0.12 s at 45 and at 67.5 degrees/s.
     limits = np.radians([-8.1, -2.7, 2.7, 8.1])
     return np.digitize(bearing, limits)
 
 
 class Planner:
-    """Drives the robot of the indoor task along the shortest way that keeps off walls.
+    """Drives the robot of the indoor task along the shortest way away from walls.
 
-    It knows what the robot does not: the layout. It shows that the task can be solved.
+    Unlike a policy it knows the layout. It shows that the task can be solved.
 
     Args:
         task: The task, with discrete actions.
@@ -90,7 +90,7 @@ class Planner:
         )
 
     def __call__(self, worlds: np.ndarray, qpos: np.ndarray) -> np.ndarray:
-        """Choices among the five turn rates ``[K]`` for worlds ``[K]`` in a state."""
+        """Choices among the five turn rates ``[K]`` for worlds ``[K]`` at positions."""
         centre, yaw = self.task.body_centre(qpos)
         angles = np.linspace(-math.pi, math.pi, _DIRECTIONS, endpoint=False)
         reach = _LOOK_AHEAD_M * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -1,4 +1,4 @@
-"""What is known of a world that diverged, and its last step once more."""
+"""Record of a world that diverged, and its last step made again."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class DivergedWorld:
-    """A world whose state is not to be believed after a step."""
+    """A world whose state after a step is invalid."""
 
     world: int
-    """Its number in the simulation that it was in."""
+    """Its number in the simulation."""
     action: np.ndarray
-    """Of that step, ``[A]`` or ``[]``."""
+    """Action of that step, ``[A]`` or ``[]``."""
     before: dict[str, np.ndarray]
     """The task's arrays, ``qpos``, ``qvel`` and ``engine`` before that step, ``[1, ...]``
     each."""
     qpos: np.ndarray
-    """Generalised positions after it, ``[nq]``."""
+    """Generalised positions after that step, ``[nq]``."""
     qvel: np.ndarray
-    """Generalised velocities after it, ``[nv]``."""
+    """Generalised velocities after that step, ``[nv]``."""
 
     @property
     def episode_seed(self) -> int:
@@ -37,7 +37,7 @@ class DivergedWorld:
 
     @property
     def steps(self) -> int:
-        """Control steps that the episode had made before."""
+        """Control steps that the episode had made before that step."""
         return int(self.before["steps"][0])
 
 
@@ -46,7 +46,7 @@ class StateMemory:
 
     Args:
         named: Arrays ``[W, ...]`` by name.
-        engines: States of the engines, ``[W_i, S]``, of neighbouring worlds each.
+        engines: States of the engines, ``[W_i, S]``, each of neighbouring worlds.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class StateMemory:
         self._names = list(named)
 
     def note(self) -> None:
-        """Take a copy of the state."""
+        """Copy the state."""
         for copy, source in zip(self._copies, self._sources, strict=True):
             np.copyto(copy, source)
 
     def of(self, world: int) -> dict[str, np.ndarray]:
-        """The copy's rows of a world, ``[1, ...]`` each."""
+        """Rows of a world in the copy, ``[1, ...]`` each."""
         count = len(self._names)
         rows = {
             name: copy[world : world + 1].copy()
@@ -75,11 +75,11 @@ class StateMemory:
 def repeat_step(
     task: NavigationTask, before: Mapping[str, np.ndarray], action: np.ndarray
 ) -> BatchSimulation:
-    """Make a step from a state; the simulation of one world, after it.
+    """Make a step from a state; returns the simulation of one world after the step.
 
     Args:
         task: The task, perhaps with other options.
-        before: The state, as of :class:`DivergedWorld`.
+        before: The state, as in :class:`DivergedWorld`.
         action: The action, ``[A]`` or ``[]``.
 
     Raises:

@@ -28,19 +28,19 @@ _YES, _NO = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 
 
 class SuiteTask(base.Task):
-    """A :class:`NavigationTask` in the form that ``control.Environment`` runs.
+    """A :class:`NavigationTask` as a task of ``control.Environment``.
 
     Its methods act on the physics that they are given, so that a copy of an
     environment's physics can be stepped by the environment's task.
 
     Args:
-        physics: The world that an environment has.
-        random: Seed or state of the episodes; None takes another one every time.
+        physics: The world of the environment.
+        random: Seed or state of the episodes; None takes a different one every time.
         flat_observation: Whether the environment concatenates the observations.
 
     Attributes:
-        task: The task itself.
-        arrays: Its arrays for that world.
+        task: The :class:`NavigationTask`.
+        arrays: The task's arrays for that world.
         next_episode_seed: Set it to choose the episode of the next reset.
     """
 
@@ -64,14 +64,14 @@ class SuiteTask(base.Task):
             seed = int(self.random.randint(2**31 - 1))
         self.next_episode_seed = None
         physics.begin_episode(seed)
-        # Not super().initialize_episode(): it calls after_step, a step that never was.
+        # Not super().initialize_episode(), which calls after_step though no step was made.
 
     def before_step(self, action: Any, physics: TaskPhysics) -> None:
         """Store the action; a world whose action is not finite diverges.
 
         Raises:
             RuntimeError: If no episode has begun, or it has ended.
-            ValueError: If the action is none of the task's.
+            ValueError: If the action is not one of the task's actions.
         """
         check_running(_ONE_WORLD, physics.arrays["outcome"])
         action = np.asarray(action)
@@ -146,8 +146,8 @@ class SuiteTask(base.Task):
 class NavigationEnvironment(control.Environment):
     """A ``control.Environment`` whose episode ends with the outcome of its physics.
 
-    When an episode has ended and the physics are set back to before its end, that
-    episode goes on; ``control.Environment`` would begin a new one.
+    If the physics are set back to a state before the end of an ended episode, that episode
+    goes on; ``control.Environment`` would begin a new one.
     """
 
     def step(self, action: Any) -> TimeStep:
@@ -172,12 +172,12 @@ def make_environment(
 ) -> control.Environment:
     """Make the dm_control environment of a task.
 
-    The step limit is the task's own: the environment has no time limit, because
+    The task applies the step limit. The environment has no time limit, because
     ``control.Environment`` never asks for the termination of its last allowed step.
 
     Args:
         task: The task.
-        random: Seed or state of the episodes; None takes another one every time.
+        random: Seed or state of the episodes; None takes a different one every time.
         environment_kwargs: Arguments of ``control.Environment``.
 
     Raises:

@@ -1,9 +1,9 @@
 """The arithmetic of a control step as compiled loops over worlds.
 
-The array functions of :mod:`gdrl_tasks.navigation` are its definition: tests hold the
-two together. Called for one world, a compiled loop costs a hundredth of the array
-functions, whose time goes into calling NumPy; for hundreds it costs a tenth. No
-fast-math, so that both routes to a task give the same bits.
+The array functions of :mod:`gdrl_tasks.navigation` are the definition of this
+arithmetic, and tests compare the two. For one world a compiled loop takes a hundredth of
+the time of the array functions, which is spent on calling NumPy; for hundreds of worlds
+it takes a tenth. There is no fast-math, so that both backends give the same bits.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _TIMEOUT = int(Outcome.TIMEOUT)
 _DIVERGED = int(Outcome.DIVERGED)
 _CAPSIZED = int(Outcome.CAPSIZED)
 LARGEST_STATE = 1e6
-"""A larger number in a state, or what is not a number, is not to be believed."""
+"""A state with a larger number, or with one that is not finite, is invalid."""
 
 
 @compiled
 def all_sane(qpos: np.ndarray, qvel: np.ndarray) -> bool:
-    """Whether every state is to be believed, of one world or of many."""
+    """Whether every state, of one world or of many, is valid."""
     for values in (qpos, qvel):
         for value in values.flat:
-            # Written so that NaN is not sane.
+            # Written so that NaN counts as invalid.
             if not abs(value) < LARGEST_STATE:
                 return False
     return True
@@ -46,7 +46,7 @@ def all_choices(action: np.ndarray, count: int) -> bool:
 
 @compiled
 def are_rows(ids: np.ndarray, count: int) -> bool:
-    """Whether ``ids`` ``[K]`` are rows of ``count`` in ascending order, each once."""
+    """Whether ``ids`` ``[K]`` are ascending row numbers below ``count``, each once."""
     last = -1
     for row in ids:
         if row <= last:
@@ -57,7 +57,7 @@ def are_rows(ids: np.ndarray, count: int) -> bool:
 
 @compiled
 def rows_are_sane(ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Mask of worlds ``ids`` ``[K]`` whose state ``[W, N]`` is to be believed, ``[K]``."""
+    """Mask of worlds ``ids`` ``[K]`` whose state ``[W, N]`` is valid, ``[K]``."""
     sane = np.ones(len(ids), dtype=np.bool_)
     for k in range(len(ids)):
         for value in qpos[ids[k]]:
@@ -71,10 +71,10 @@ def rows_are_sane(ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.nda
 def newly_warned(
     ids: np.ndarray, warnings: np.ndarray, kinds: np.ndarray, known: np.ndarray
 ) -> np.ndarray:
-    """Mask of worlds ``ids`` of which the engine has warned more than is known, ``[K]``.
+    """Mask of worlds ``ids`` with new warnings of the engine, ``[K]``.
 
-    ``warnings`` ``[W, C, 2]`` are the engine's, of which the ``kinds`` count; ``known``
-    ``[W]`` is brought up to date.
+    ``warnings`` ``[W, C, 2]`` are the engine's, of which only those of ``kinds`` count.
+    ``known`` ``[W]``, the numbers of warnings so far, is updated.
     """
     warned = np.zeros(len(ids), dtype=np.bool_)
     for k in range(len(ids)):
@@ -124,7 +124,7 @@ def observe_goal(
     distance_scale: float,
     out: np.ndarray,
 ) -> None:
-    """Write scaled distance and bearing over pi of goals into ``out[:, :2]``."""
+    """Write the goals' scaled distance, and bearing over pi, into ``out[:, :2]``."""
     turn = 2.0 * math.pi
     for k in range(len(ids)):
         dx = goal[ids[k], 0] - position[k, 0]
@@ -144,9 +144,9 @@ def finish(
 ) -> np.ndarray:
     """Outcomes and rewards of worlds ``ids`` after a control step, ``[K]``.
 
-    ``now`` ``[K, 2]`` is where they are, ``masks`` ``[K]`` are who has collided,
-    diverged and capsized, ``limits`` are tolerance, step limit, weight of progress and
-    whether the limit truncates, and ``arrays`` of all worlds are written.
+    ``now`` ``[K, 2]`` are the positions; ``masks`` ``[K]`` say which worlds have
+    collided, diverged and capsized; ``limits`` are tolerance, step limit, weight of
+    progress and whether the limit truncates; ``arrays`` of all worlds are written.
     """
     collided, diverged, capsized = masks
     tolerance, step_limit, weight, truncates = limits
@@ -177,7 +177,7 @@ def finish(
             result = _COLLISION
         elif steps[w] >= step_limit:
             result = _TIMEOUT
-        # At an end +-1 takes the place of progress, as in the papers.
+        # The step that ends an episode gives +-1 and no progress, as in the papers.
         if result == _SUCCESS:
             rewards[k] = 1.0
         elif result == 0 or (result == _TIMEOUT and truncates):

@@ -69,7 +69,7 @@ def segment_distance(start: Any, end: Any, point: Any) -> Any:
     along = end - start
     offset = point - start
     squared = xp.sum(along * along, axis=-1)
-    # A vehicle that does not move sweeps a point: any fraction will do.
+    # A vehicle that does not move sweeps a single point, so any fraction is right.
     safe = xp.where(squared > 0.0, squared, xp.ones_like(squared))
     fraction = xp.clip(xp.sum(along * offset, axis=-1) / safe, 0.0, 1.0)
     gap = offset - fraction[..., None] * along
@@ -81,9 +81,9 @@ def decide_outcome(
 ) -> Any:
     """One outcome per world from five masks ``[W]``, as :class:`Outcome` integers.
 
-    Divergence hides everything (its positions mean nothing); then to have capsized
-    wins over the goal (a vessel upside down has not arrived), and the goal over a
-    collision and a time limit met in the same control step.
+    If several are true in the same control step, divergence comes first (positions then
+    mean nothing), then capsizing (a vessel upside down has not arrived), then the goal,
+    before a collision and the time limit.
 
     Examples:
         >>> import numpy as np

@@ -25,9 +25,9 @@ ENTRY_POINT_GROUP = "gdrl.tasks"
 
 @dataclasses.dataclass(frozen=True)
 class RegisteredTask:
-    """A task's name, its options (a dataclass) and what makes it from them.
+    """A task's name, the dataclass of its options, and the function that makes it.
 
-    A package offers one of these as an entry point in the group ``gdrl.tasks``.
+    A package offers such an object as an entry point in the group ``gdrl.tasks``.
     """
 
     name: str
@@ -117,7 +117,7 @@ def load(
     Args:
         name: One of :func:`task_names`.
         random: Seed or state of the episodes, as in ``dm_control.suite``; None takes
-            another one every time.
+            a different one every time.
         environment_kwargs: Arguments of ``control.Environment``, such as
             ``flat_observation``; times are options of the task.
         **options: Options of the task.

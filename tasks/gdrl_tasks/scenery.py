@@ -1,4 +1,4 @@
-"""Models without what only the eye sees."""
+"""Models without the parts that are only drawn."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from typing import Any
 import mujoco
 
 LARGEST_PICTURE = (3840, 2160)
-"""Width and height, pixels, up to which :func:`make_room` goes."""
+"""Width and height, pixels, of the largest picture that :func:`make_room` allows."""
 USUAL_PICTURE = (1280, 960)
-"""Width and height that models ask for: a larger buffer takes up to 400 MB more."""
+"""Width and height that models ask for; a larger buffer takes up to 400 MB more."""
 PAINTED = "painted"
-"""How names of textures begin that a task paints for every picture, at any size."""
+"""Prefix of the names of textures that a task paints for every picture, at any size."""
 VISIBLE_ONLY = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0.0}
-"""Of geoms that touch nothing, weigh nothing and are not seen by a lidar."""
+"""Group of geoms that touch nothing, weigh nothing and are not seen by a lidar."""
 
 
 def without_scenery(xml: str) -> mujoco.MjModel:
-    """Compile a model without cameras, lights, and what touches and weighs nothing.
+    """Compile a model without cameras, lights, and parts that touch and weigh nothing.
 
-    The engine moves them along at every step, which takes 10 to 20 % of its time. States
-    that it computes are the same bit for bit. Numbers of geoms and bodies may differ
-    from those of the whole model; those before the first that is left out do not.
+    The engine would move these parts at every step, which takes 10 to 20 % of its time.
+    The states that it computes are the same bit for bit. Geoms and bodies after the first
+    one that is left out have other numbers than in the whole model.
 
     Args:
         xml: The whole model.
 
     Raises:
-        ValueError: If something that only the eye should see gives its body weight.
+        ValueError: If a part that should only be drawn gives its body weight.
 
     Examples:
         >>> from gdrl_tasks import make_task
@@ -43,7 +43,7 @@ def without_scenery(xml: str) -> mujoco.MjModel:
         if not (geom.contype or geom.conaffinity):
             spec.delete(geom)
     model = spec.compile()
-    # What is moved by hand has weight for nobody.
+    # The weight of bodies that are moved by hand has no effect.
     moves = whole.body_mocapid < 0
     for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
         before, after = getattr(whole, name), getattr(model, name)
@@ -60,10 +60,10 @@ def without_scenery(xml: str) -> mujoco.MjModel:
 
 
 def draw_faster(physics: Any) -> None:
-    """Let a physics that has rendered nothing yet draw coarser, as films are drawn.
+    """Let a physics that has not rendered yet draw coarsely, as for films.
 
-    Edges are not smoothed, and shadows and painted surfaces have half of the pixels
-    each way or less.
+    Edges are not smoothed, and shadows and painted surfaces have at most half of the
+    pixels each way.
     """
     model = physics.model
     model.vis.quality.offsamples = 0
@@ -78,7 +78,7 @@ def make_room(physics: Any, height: int, width: int) -> None:
     """Let a dm_control physics render pictures larger than its model asked for.
 
     Args:
-        physics: The physics; beyond :data:`LARGEST_PICTURE` it is left as it is.
+        physics: The physics; it does not change beyond :data:`LARGEST_PICTURE`.
         height: Rows of the picture.
         width: Columns of the picture.
     """
@@ -86,7 +86,7 @@ def make_room(physics: Any, height: int, width: int) -> None:
     fits = width <= size.offwidth and height <= size.offheight
     if fits or width > LARGEST_PICTURE[0] or height > LARGEST_PICTURE[1]:
         return
-    # First: there may be no context yet, and one is made for the size of the model.
+    # Get the contexts before the size changes: new ones are made with the model's size.
     contexts = physics.contexts
     size.offwidth, size.offheight = max(width, size.offwidth), max(height, size.offheight)
     with contexts.gl.make_current() as context:
@@ -98,9 +98,9 @@ def make_room(physics: Any, height: int, width: int) -> None:
 def cast_fewer_shadows(scene: mujoco.MjvScene) -> None:
     """Let skins and planes of a scene cast no shadow: water, floors, beams of a lidar.
 
-    Nothing is below water and floor, and the map of shadows is too coarse for a surface
-    that is both in it and in the light: it gets specks. What MuJoCo takes for
-    decoration is seen but not in the map.
+    Nothing is below water and floor. The map of shadows is also too coarse for a surface
+    that both casts shadows and is lit: such a surface gets specks. Geoms that MuJoCo
+    takes for decoration are drawn but cast no shadow.
     """
     geom = mujoco.mjtGeom
     for seen in scene.geoms[: scene.ngeom]:

@@ -25,7 +25,7 @@ class Stream(enum.IntEnum):
     FITNESS = 1
     EVALUATION = 2
     CONTROLLER = 3
-    """Hand-written and untrained controllers that pin a task's difficulty."""
+    """Hand-written and untrained controllers that measure how hard a task is."""
 
 
 def episode_seeds(stream: Stream, seed: int, start: int, count: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def fresh_seed() -> int:
 
 @functools.lru_cache(maxsize=64)
 def _block_of_seeds(stream: int, seed: int, block: int) -> list[int]:
-    """Neighbouring seeds. One alone, as a world ends, costs ten times its share of them."""
+    """Neighbouring seeds. To make one alone takes ten times its share of a block."""
     tag = stream << _STREAM_SHIFT
     sequences = (
         np.random.SeedSequence((seed, stream, block * _BLOCK + i)) for i in range(_BLOCK)

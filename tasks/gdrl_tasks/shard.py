@@ -19,11 +19,11 @@ _DIVERGENCE_WARNINGS = np.array(
 
 
 class Shard:
-    """A run of neighbouring worlds with an engine of their own.
+    """Neighbouring worlds with an engine of their own.
 
-    Where forces must be refreshed before every substep, the threads of one engine for
-    all worlds would meet twice a substep; with a shard each they meet once a control
-    step. Without such forces one shard with all threads is the fastest.
+    If forces must be computed before every substep, the threads of one engine for all
+    worlds would wait for each other twice a substep. With a shard for each thread they
+    wait once a control step. Without such forces one shard with all threads is fastest.
 
     Args:
         task: The task.
@@ -75,8 +75,8 @@ class Shard:
         """Step worlds, numbered within the shard, through a control interval.
 
         Returns:
-            Mask of those that diverged: their states are not to be believed, or the
-            engine has warned of them. ``[K]``
+            Mask ``[K]`` of those that diverged: their states are invalid, or the engine
+            has warned of them.
         """
         if len(ids) == 0:
             return np.zeros(0, dtype=bool)

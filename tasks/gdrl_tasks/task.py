@@ -1,4 +1,4 @@
-"""What a task is: a model, per-world arrays and pure steps over them.
+"""The base of tasks: a model, per-world arrays and pure steps over them.
 
 A :class:`NavigationTask` is written once and runs on two engines: many worlds on
 ``mujoco.batch`` (:mod:`gdrl_tasks.batch`) and one world in dm_control
@@ -32,7 +32,7 @@ WorldArrays = dict[str, np.ndarray]
 """Arrays of all worlds by name, each ``[W, ...]``."""
 
 NOT_BEGUN = -1
-"""What a world has in its outcome's place before its first episode."""
+"""Outcome of a world before its first episode."""
 
 _WRITTEN = (
     "goal",
@@ -70,7 +70,7 @@ class TaskSpec:
 
     @property
     def reward_range(self) -> tuple[float, float]:
-        """Least and largest reward of any step; an end gives -1 or 1."""
+        """Least and largest reward of any step; the end of an episode gives -1 or 1."""
         largest = max(1.0, self.running_reward_limit)
         return -largest, largest
 
@@ -90,13 +90,13 @@ class TaskSpec:
         """
         if not 0.0 <= gamma <= 1.0:
             raise ValueError(f"gamma={gamma} must be in [0, 1]")
-        # Rewards of +-limit until the last step, which gives +-1: the sum is monotonic
-        # in the length of the episode, so one of the two extremes is the largest.
+        # With rewards of +-limit until the last step, which gives +-1, the return is
+        # monotonic in the episode's length, so the shortest or the longest has the most.
         steps = self.step_limit - 1
         weight = sum(gamma**step for step in range(steps))
         last = max(1.0, self.running_reward_limit)
         longest = self.running_reward_limit * weight + last * gamma**steps
-        # A truncated episode is worth what would have followed.
+        # A truncated episode has the value of what would have followed.
         if gamma < 1.0:
             longest = max(longest, self.running_reward_limit / (1.0 - gamma))
         largest = max(1.0, longest)
@@ -109,7 +109,7 @@ class TaskSpec:
 
     @functools.cached_property
     def columns(self) -> dict[str, slice]:
-        """Where each named observation is in the flat one."""
+        """Slices of the named observations in the flat one."""
         ends = np.cumsum([size for size, _, _ in self.observation.values()]).tolist()
         starts = [0, *ends[:-1]]
         return dict(zip(self.observation, map(slice, starts, ends), strict=True))
@@ -127,7 +127,7 @@ class TaskSpec:
         return np.concatenate(low), np.concatenate(high)
 
     def checked_action(self, action: Any, count: int) -> np.ndarray:
-        """Actions of ``count`` worlds as an array; those not finite are let through.
+        """Actions of ``count`` worlds as an array; they need not be finite.
 
         Raises:
             ValueError: If they are not numbers, have another shape than ``[K, A]`` (or
@@ -150,7 +150,7 @@ class TaskSpec:
                     f"[0, {self.action_size})"
                 )
         if self.is_discrete:
-            # Written so that NaN passes: its world diverges.
+            # Written so that NaN passes; its world then diverges.
             wrong = (action < 0) | (action >= self.action_size)
             if wrong.any():
                 raise ValueError(
@@ -169,14 +169,14 @@ class Episode:
     arrays: Mapping[str, Any]
     """Initial rows of the task's arrays, by name; ``goal`` is always among them.
 
-    ``shortest_path`` is the way to the goal itself, where it is not a straight line.
+    ``shortest_path`` is the length of the way to the goal, if that is no straight line.
     """
 
 
 class NavigationTask(abc.ABC):
     """A vehicle that must reach a goal: outcome, reward and metrics.
 
-    Subclasses give the model, the vehicle's pose, what acts on it and what it sees.
+    Subclasses give the model, the vehicle's pose, the forces on it and what it observes.
     All methods work on rows ``ids`` of arrays that hold every world.
     """
 
@@ -195,10 +195,10 @@ class NavigationTask(abc.ABC):
 
     @abc.abstractmethod
     def xml(self) -> str:
-        """The model, with all that is seen of it."""
+        """The model, with all that is drawn of it."""
 
     def engine_model(self) -> mujoco.MjModel:
-        """The model that batches of worlds step, which nobody sees: here the whole one.
+        """The model that batches step and that is never drawn: here the whole one.
 
         Tasks whose scenery costs the engine time may leave it out, see
         :func:`~gdrl_tasks.scenery.without_scenery`.
@@ -213,7 +213,7 @@ class NavigationTask(abc.ABC):
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
         """The task's own arrays ``[W, ...]``, beside those of :meth:`allocate`.
 
-        If the model has actuators, ``control`` ``[W, nu]`` is what they are given.
+        If the model has actuators, ``control`` ``[W, nu]`` holds their controls.
         """
 
     @abc.abstractmethod
@@ -223,7 +223,7 @@ class NavigationTask(abc.ABC):
     def planar_pose(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions in metres ``[K, 2]`` and headings in radians ``[K]``.
 
-        Unless overridden, those of a vehicle whose free joint is the model's first.
+        By default those of a vehicle whose free joint is the model's first joint.
         """
         return free_body_pose(qpos)
 
@@ -243,7 +243,7 @@ class NavigationTask(abc.ABC):
     ) -> Callable[[WorldIndex], None]:
         """:meth:`apply_forces` as a function of the worlds alone, ``[K]``.
 
-        The arrays stay where they are, so what needs them all can be made ready once.
+        The arrays keep their memory, so anything that depends on them is prepared once.
         """
         return lambda ids: self.apply_forces(arrays, ids, qpos, qvel, time_s, xfrc_applied)
 
@@ -261,7 +261,7 @@ class NavigationTask(abc.ABC):
     def write_model_fields(
         self, fields: Mapping[str, np.ndarray], arrays: WorldArrays, ids: WorldIndex
     ) -> None:
-        """Write what an episode changes in the model, as it begins.
+        """Write the fields of the model that an episode changes, as the episode begins.
 
         Args:
             fields: Live arrays of :attr:`model_fields` for all worlds, ``[W, ...]``.
@@ -272,20 +272,20 @@ class NavigationTask(abc.ABC):
     def sense(
         self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> None:
-        """Store what sensors with a memory read, at the start and after every step.
+        """Store the readings of sensors with a memory, at the start and after every step.
 
         Args:
             arrays: Arrays of all worlds; ``steps`` counts the step that was made.
             ids: The worlds.
-            position: Where they are, metres, ``[K, 2]``, always finite.
+            position: Their positions, metres, ``[K, 2]``, always finite.
             yaw: Their headings, radians, ``[K]``, always finite.
         """
 
     def note_scenery(self, physics: Any) -> None:
-        """Remember what only the eye sees of a step, on the route that can render."""
+        """Remember what pictures need of a step; only dm_control's environments call it."""
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
-        """Bring what only the eye sees up to date before a frame is rendered."""
+        """Update what is only drawn, before a frame is rendered."""
 
     def allocate(self, num_worlds: int) -> WorldArrays:
         """Arrays for all worlds, before any episode has begun."""
@@ -335,7 +335,7 @@ class NavigationTask(abc.ABC):
             arrays: Arrays of all worlds.
             ids: The worlds that stepped.
             qpos: Their generalised positions, ``[K, nq]``.
-            diverged: Mask of those whose state is not to be believed, ``[K]``.
+            diverged: Mask of those whose state is invalid, ``[K]``.
         """
         if np.count_nonzero(diverged):
             qpos = np.where(diverged[:, None], 0.0, qpos)
@@ -362,16 +362,16 @@ class NavigationTask(abc.ABC):
     def collides(
         self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> np.ndarray:
-        """Mask of worlds in collision, ``[K]``; open water has none."""
+        """Mask of worlds in collision, ``[K]``; by default none, as on open water."""
         return np.zeros(len(ids), dtype=bool)
 
     def capsizes(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray
     ) -> np.ndarray:
-        """Mask of worlds whose vehicle is upside down, ``[K]``; on wheels none is.
+        """Mask of worlds whose vehicle is upside down, ``[K]``; by default none is.
 
-        To have capsized ends an episode as a collision does, whatever else has happened
-        in the same control step.
+        Capsizing ends an episode like a collision, whatever else happened in the same
+        control step.
 
         Args:
             arrays: Arrays of all worlds.
@@ -417,8 +417,8 @@ def check_running(ids: WorldIndex, outcome: np.ndarray) -> None:
 
 
 def believable(state: np.ndarray) -> np.ndarray:
-    """A state as sensors see it: what is not finite, or absurdly large, is bounded.
+    """A state with bounds on numbers that are not finite or are absurdly large.
 
-    A diverged world is observed too: its numbers need only be finite.
+    A diverged world is observed too, and its observation must be finite.
     """
     return np.clip(np.nan_to_num(state), -LARGEST_STATE, LARGEST_STATE)

@@ -1,4 +1,4 @@
-"""Contests: the seed's, and the paired one with its error rate and its savings."""
+"""Contests: that of AAMAS 2020, and the paired one with its error rate and its savings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has to be in place before dm_control, and with it OpenGL, is imported."""
+"""Preparations before dm_control, and with it OpenGL, is imported."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OF_MESA = ("libLLVM", "libOSMesa", "libgallium", "_dri.so")
 def prepare_opengl() -> None:
     """Make OpenGL and Triton live in one process, and choose a backend that can work.
 
-    To be called before dm_control is imported; later it changes nothing for the worse.
+    Call it before dm_control is imported; later calls do no harm.
     """
     load_triton()
     # Without a display dm_control would still choose GLFW, whose first frame then fails.
@@ -27,15 +27,16 @@ def prepare_opengl() -> None:
 
 
 def load_triton() -> None:
-    """Load Triton's library, which tensordict loads too, so that Mesa does not mind.
+    """Load Triton's library, which tensordict loads too, apart from that of Mesa.
 
     Mesa's software driver and Triton each carry an LLVM. If Mesa's is in the process
-    already, Triton's would be bound to its symbols, and a segmentation fault ends the
-    process: it is then loaded bound to its own symbols first. Whoever imports Triton
-    later gets this library. It needs no torch; without Triton nothing happens.
+    already, Triton's would use its symbols, and a segmentation fault would end the
+    process. So Triton's library is then loaded here, with symbols of its own; later
+    imports of Triton get this library. This needs no torch; without Triton nothing
+    happens.
 
-    Out of reach is a process that imports Triton, or tensordict, after OpenGL and
-    before ``gdrl_tasks`` has loaded an environment or ``gdrl_torchrl`` was imported.
+    It cannot help a process that imports Triton, or tensordict, after OpenGL and before
+    ``gdrl_tasks`` has loaded an environment or ``gdrl_torchrl`` was imported.
     """
     if "triton" in sys.modules:
         return
@@ -43,7 +44,7 @@ def load_triton() -> None:
     if triton is None or triton.origin is None:
         return
     mode = ctypes.DEFAULT_MODE
-    # Only then: a replaced malloc does not go together with symbols of one's own.
+    # Only if needed: symbols of its own do not go together with a replaced malloc.
     if _mesa_is_loaded():
         mode |= getattr(os, "RTLD_DEEPBIND", 0)
     with contextlib.suppress(OSError):

@@ -20,18 +20,18 @@ _ENGINE_STATE = int(engine.mjtState.mjSTATE_INTEGRATION)
 
 
 class TaskPhysics(mujoco.Physics):
-    """Physics of one world of a task: with its forces, and it survives divergence.
+    """Physics of one world of a task, with its forces; divergence raises no error.
 
-    Everything that the future depends on is in it: a copy, a pickled one, and one that
-    is set to an earlier state go on bit for bit, whether they are stepped by
-    themselves or by the task. A copy with ``share_model=True`` shares what an episode
-    changes in the model, such as the obstacles of the indoor task.
+    It holds all that future steps depend on. A copy, an unpickled physics and one that is
+    set to an earlier state go on bit for bit, whether they are stepped directly or by the
+    task. A copy with ``share_model=True`` shares what an episode changes in the model,
+    such as the obstacles of the indoor task.
 
     Attributes:
         task: The task.
         arrays: The task's arrays for this world, ``[1, ...]`` each.
         reward: Reward of the last control step.
-        diverged: Whether its state is not to be believed.
+        diverged: Whether its state is invalid.
     """
 
     task: NavigationTask
@@ -69,7 +69,7 @@ class TaskPhysics(mujoco.Physics):
         """Advance by substeps; a physics error sets ``diverged`` and is not raised."""
         if self.diverged:
             return
-        # Not super().step(): its check of the warnings costs a tenth of a whole step.
+        # Not super().step(), whose check of the warnings takes a tenth of a whole step.
         with quiet_engine():
             if self._apply_forces is None:
                 self._advance(nstep)
@@ -78,7 +78,7 @@ class TaskPhysics(mujoco.Physics):
                     self._time_s[0] = self.data.time
                     self._apply_forces(_ONE_WORLD)
                     self._advance(1)
-        # A reset clears the engine's counts.
+        # A reset sets the engine's counts to zero.
         self.diverged = any(self._warnings.tolist())
 
     def _advance(self, nstep: int) -> None:
@@ -88,18 +88,18 @@ class TaskPhysics(mujoco.Physics):
             engine.mj_step(self.model.ptr, self.data.ptr, nstep)
 
     def reset(self, keyframe_id: int | None = None) -> None:
-        """Put the engine at its initial state; the task's arrays stay."""
+        """Put the engine at its initial state; the task's arrays do not change."""
         self.diverged = False
         super().reset(keyframe_id)
 
     def after_reset(self) -> None:
-        """Derive what belongs to the state, at the end of a reset."""
-        # Without actuation, which leaves the actuators' velocities at zero.
+        """Compute what follows from the state, at the end of a reset."""
+        # Without actuation, so the actuators' velocities remain zero.
         super().after_reset()
         self._derive()
 
     def _derive(self) -> None:
-        """Compute what a step begins with: what the one before derived at its end."""
+        """Compute what a step needs at its start, as the step before does at its end."""
         if not self.diverged:
             with quiet_engine():
                 engine.mj_step1(self.model.ptr, self.data.ptr)
@@ -121,13 +121,13 @@ class TaskPhysics(mujoco.Physics):
             self.task.write_model_fields(fields, self.arrays, _ONE_WORLD)
 
     def get_state(self, sig: int | None = None) -> np.ndarray:
-        """All that the future depends on, as one vector of floats.
+        """All that future steps depend on, as one vector of floats.
 
         It holds the state of MuJoCo's integration (time, positions, velocities,
         controls, applied forces, ...), the reward, whether the world has diverged, and
         the task's arrays (sea, thrusters, obstacles, scan, goal, steps, outcome, ...) in
-        the order of :attr:`arrays`; an integer takes two places, its upper and its
-        lower 32 bits. It is one of the same task with the same options.
+        the order of :attr:`arrays`. An integer takes two places, for its upper and its
+        lower 32 bits. The state fits only the same task with the same options.
 
         Args:
             sig: If given, MuJoCo's state of that signature alone, without the task.
@@ -174,7 +174,7 @@ class TaskPhysics(mujoco.Physics):
         self._derive()
 
     def copy(self, share_model: bool = False) -> Self:
-        """A copy that goes on by itself; it shares nothing but, if asked, the model."""
+        """An independent copy; it shares nothing except, if asked for, the model."""
         other = super().copy(share_model=share_model)
         other.legacy_step = self.legacy_step
         arrays = {name: value.copy() for name, value in self.arrays.items()}
@@ -193,24 +193,24 @@ class TaskPhysics(mujoco.Physics):
     def _restore(
         self, task: NavigationTask, arrays: WorldArrays, state: np.ndarray
     ) -> None:
-        # To make a physics of data has changed some of it, as for a passive vehicle.
+        # Making a physics from data has changed some of the data: restore it.
         self._hold(task, arrays)
         self.set_state(state)
 
     def before_render(self) -> None:
-        """Bring the scenery up to date; None in its place keeps it as it was drawn."""
+        """Update the scenery; set to None, the scenery is left as drawn before."""
         self.task.draw_scenery(self, self.arrays)
 
     def render(
         self, height: int = 240, width: int = 320, *args: Any, **kwargs: Any
     ) -> np.ndarray:
-        """Render, after the scenery was brought up to date; the state stays as it is.
+        """Update the scenery and render; the state does not change.
 
-        As that of :class:`dm_control.mujoco.Physics`, for pictures of up to 3,840 by
-        2,160 pixels.
+        Arguments as for :class:`dm_control.mujoco.Physics`, for pictures of up to 3,840
+        by 2,160 pixels.
         """
         make_room(self, height, width)
-        # The scenery moves bodies by hand, which belong to the state.
+        # The scenery moves bodies by hand, and their places belong to the state.
         moved = self.data.mocap_pos.copy(), self.data.mocap_quat.copy()
         if self.before_render is not None:
             self.before_render()
@@ -232,7 +232,7 @@ def _num_floats(values: np.ndarray) -> int:
 
 
 def _as_floats(values: np.ndarray) -> np.ndarray:
-    """An array as floats that lose nothing, ``[N]``."""
+    """An array as floats without any loss, ``[N]``."""
     if values.dtype.kind == "f":
         return values.ravel()
     whole = values.ravel().astype(np.int64)

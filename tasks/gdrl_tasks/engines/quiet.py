@@ -1,4 +1,4 @@
-"""MuJoCo's warnings, which it prints and writes to a file of its own, as our log."""
+"""MuJoCo's warnings in our log, instead of on the terminal and in a file of its own."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _logger = logging.getLogger(__name__)
 
 
 class quiet_engine:  # noqa: N801 - used like a function
-    """Send MuJoCo's warnings to our log: not to the terminal, nor to a file.
+    """Send MuJoCo's warnings to our log, not to the terminal or a file.
 
-    Any number of threads may be inside; the last one to leave restores what was.
+    Any number of threads may be inside; the last one to leave restores the old handling.
     """
 
     __slots__ = ()
@@ -22,7 +22,7 @@ class quiet_engine:  # noqa: N801 - used like a function
     _inside = 0
     _previous: Any = None
 
-    # A class, because it is entered at every step and a generator costs twice as much.
+    # A class, because it is entered at every step and a generator takes twice the time.
     def __enter__(self) -> None:
         own = quiet_engine
         with own._lock:

@@ -1,7 +1,7 @@
-"""Arenas: what stands where, and where episodes start and end.
+"""Arenas: the places of obstacles, starts and goals.
 
-Every layout, start and goal is drawn until a disc of the robot's footprint fits at
-start and goal and a way leads from one to the other: others cannot occur.
+Layout, start and goal are drawn again until a disc of the robot's footprint fits at
+start and goal and a way leads from start to goal. So every episode can be solved.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gdrl_tasks.indoor.obstacles import ABSENT_M, Shapes, make_shapes, place
 
 WALL_HALF_M = 0.05
 HEIGHT_M = 0.3
-"""Of walls and obstacles: taller than the lidar, which is at 0.18 m."""
+"""Height of walls and obstacles: taller than the lidar, which is at 0.18 m."""
 _ATTEMPTS = 1000
 
 
@@ -39,7 +39,7 @@ class Scene:
 
 
 class Arena(abc.ABC):
-    """A walled rectangle around the origin, the same shapes in every layout.
+    """A walled rectangle around the origin, with the same shapes in every layout.
 
     Attributes:
         half_extent_m: Half the length and width inside the walls.
@@ -73,7 +73,7 @@ class Arena(abc.ABC):
         Args:
             generator: Source of randomness.
             footprint_m: Radius of the robot's footprint.
-            tolerance_m: Radius of the goal; it lies outside of it at the start.
+            tolerance_m: Radius of the goal; the robot starts outside it.
         """
         for _ in range(_ATTEMPTS):
             places = np.concatenate([self._walls, self.draw_obstacles(generator)])
@@ -104,8 +104,8 @@ class Arena(abc.ABC):
         *,
         is_goal: bool,
     ) -> np.ndarray | None:
-        """A point with room around it: anywhere in a free cell that may hold one."""
-        # A point is at most half a cell's diagonal from the middle.
+        """A random point with room around it, in a free cell that may hold one."""
+        # A point is at most half a cell's diagonal from the middle of its cell.
         fits = space.clearance >= least_m + 0.0708
         fits &= self._cells_that_may_hold[is_goal]
         cells = np.flatnonzero(fits)
@@ -155,7 +155,7 @@ class PaperArena(Arena):
         super().__init__([(1.1, 0.25), (1.1, 0.25), (0.15, 1.1), (0.15, 1.1)], [])
 
     def draw_obstacles(self, generator: np.random.Generator) -> np.ndarray:
-        """The four blocks, each a little displaced."""
+        """The four blocks, each displaced a little."""
         reach = self._DISPLACEMENT_M
         x, y = (self._MIDDLES + generator.uniform(-reach, reach, (4, 2))).T
         return place(x, y)
@@ -179,7 +179,7 @@ class ScatterArena(Arena):
         super().__init__(boxes, [0.1, 0.15, 0.2, 0.25, 0.3])
 
     def draw_obstacles(self, generator: np.random.Generator) -> np.ndarray:
-        """Some of the shapes, the others out of sight."""
+        """Some of the shapes; the others are put out of sight."""
         count = len(self.shapes) - 4
         x, y = generator.uniform(-3.2, 3.2, (2, count))
         yaw = generator.uniform(-math.pi, math.pi, count)
@@ -190,7 +190,7 @@ class ScatterArena(Arena):
 class CorridorArena(Arena):
     """A corridor of 10.5 x 3.5 m with blocks at either side, from end to end.
 
-    Of the size of the papers' test arena (ICRA 2020); for evaluation only.
+    It has the size of the papers' test arena (ICRA 2020) and is for evaluation only.
     """
 
     name = "corridor"

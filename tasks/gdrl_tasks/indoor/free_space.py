@@ -15,7 +15,7 @@ from gdrl_tasks.indoor.ways import fast_sweep, goal_in_sight, sure_looks
 CELL_M = 0.1
 """Side of a grid cell."""
 _SPARE_CELLS = 0.5
-"""Room that a disc needs beside itself in a free cell, in cells."""
+"""Least room around the disc in a free cell, in cells."""
 _MOST_ROUNDS = 16
 """Rounds of four sweeps at most; a layout needs about three."""
 
@@ -50,16 +50,16 @@ class FreeSpace:
         return cls(x, y, clearance)
 
     def distance(self, start: np.ndarray, goal: np.ndarray, footprint_m: float) -> float:
-        """As :meth:`distances_to`, of the cell that holds a start ``[2]`` alone."""
+        """Length of :meth:`distances_to` for the cell that holds a start ``[2]`` only."""
         row, column = _cell(start[1], self.y), _cell(start[0], self.x)
         x, y = goal[0] - self.x[column], goal[1] - self.y[row]
         straight = math.hypot(x, y)
         looks = sure_looks(self._spare(footprint_m), _SPARE_CELLS, _SPARE_CELLS)
-        # Nearly half of all goals are in sight, and then nothing need be swept.
+        # Nearly half of all goals are in sight, and then no sweep is needed.
         if looks[row, column] and goal_in_sight(looks, row, column, y / CELL_M, x / CELL_M):
             return straight
         speed = np.ones_like(self.clearance)
-        # Nine ways in ten are not much longer than straight ones.
+        # Nine ways in ten are not much longer than a straight line.
         for reach in (1.4 * straight + CELL_M, math.inf):
             way = float(self._sweep(looks, speed, goal, reach)[row, column])
             if way <= reach:
@@ -73,18 +73,18 @@ class FreeSpace:
 
         The eikonal equation |grad T| = 1 / speed, T(goal) = 0, by fast sweeping (Zhao
         2005, https://doi.org/10.1090/S0025-5718-04-01678-3): like Dijkstra's algorithm,
-        but ways are not bound to the grid. Where T is finite there is a way: between
-        the middles of neighbouring free cells the disc always fits, for a free cell
-        has half a cell to spare.
+        but ways are not bound to the grid. Where T is finite there is a way, because the
+        disc always fits between the middles of neighbouring free cells: a free cell has
+        half a cell of room around it.
 
         Args:
             goal: Position, metres, ``[2]``.
             footprint_m: Radius of the disc.
-            comfort_m: Within this distance of an obstacle a step counts as up to five
-                times as long, so that ways keep off; 0 gives true lengths.
+            comfort_m: Within this distance of an obstacle a step counts up to five times
+                its length, so that ways keep away from obstacles; 0 gives true lengths.
 
         Returns:
-            Distances; infinite where the disc does not fit or cannot come from.
+            Distances; infinite where the disc does not fit or from where no way leads.
         """
         spare, comfort = self._spare(footprint_m), comfort_m / CELL_M
         speed = np.ones_like(spare)
@@ -111,7 +111,7 @@ class FreeSpace:
 
 
 def _cell(place_m: float, middles_m: np.ndarray) -> int:
-    """As :meth:`FreeSpace.cells`, along one axis and of one place."""
+    """The same as :meth:`FreeSpace.cells`, along one axis and for one place."""
     cell = round((place_m - middles_m[0]) / CELL_M)
     return min(max(cell, 0), len(middles_m) - 1)
 

@@ -1,8 +1,8 @@
 """The arithmetic of robot and lidar as compiled loops.
 
 :func:`gdrl_tasks.indoor.obstacles.clearance` is the definition of :func:`clearances`,
-and the engine's own rays see what :func:`scan` sees: tests hold them together. The
-engine's rays take five times as long, for each call places every geom of every world.
+and the engine's own rays define :func:`scan`; tests compare them. The engine's rays take
+five times as long, because each call places every geom of every world.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from gdrl_tasks.compiled import compiled
 
 _TINY = 1e-300
-"""In place of a slope of 0: a beam along a side crosses it infinitely far away."""
+"""Used for a slope of 0: a beam along a side crosses it infinitely far away."""
 
 
 @compiled
@@ -61,8 +61,8 @@ def clearances_on_grid(
     """
     nearest = np.full((len(y), len(x)), np.inf)
     for n in range(len(is_box)):
-        # A cylinder is a box without extent, rounded by its radius: then there are no
-        # branches, and the points of a row are computed side by side.
+        # A cylinder is computed as a box without extent, rounded by its radius. So there
+        # are no branches, and the points of a row are computed side by side.
         half_x = half_size[n, 0] if is_box[n] else 0.0
         half_y = half_size[n, 1] if is_box[n] else 0.0
         radius = 0.0 if is_box[n] else half_size[n, 0]
@@ -147,7 +147,7 @@ def scan(
     for k in range(len(origins)):
         ahead, left = math.cos(yaw[k]), math.sin(yaw[k])
         for n in range(len(is_box)):
-            # All in the obstacle's own axes, which its beams share.
+            # Everything is in the obstacle's own axes, the same for all its beams.
             x, y, cosine, sine = places[layouts[k], n]
             dx, dy = origins[k, 0] - x, origins[k, 1] - y
             start = cosine * dx + sine * dy, cosine * dy - sine * dx

@@ -8,7 +8,7 @@ import numpy as np
 
 NEAREST_M, FARTHEST_M = 0.12, 3.5
 SCAN_INTERVAL_S = 0.2
-"""Time of a turn: 300 rpm."""
+"""Time of one turn at 300 rpm."""
 
 # Precision in the data sheet: 10 mm to 0.5 m, 3.5 % of the range beyond.
 _NEAR_M, _NEAR_STD_M, _FAR_STD = 0.499, 0.010, 0.035
@@ -37,8 +37,8 @@ def range_noise(
 ) -> np.ndarray:
     """Errors of the LDS-01's precision, metres, ``[K, B]``.
 
-    They are a function of episode, scan and beam, so that a repeated or resumed
-    episode sees the same scans and there is no state to keep.
+    They are a function of episode, scan and beam. So a repeated or resumed episode has the
+    same scans, and there is no state to keep.
 
     Args:
         ranges_m: True ranges, ``[K, B]``.

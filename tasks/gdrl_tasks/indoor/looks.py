@@ -1,4 +1,4 @@
-"""What only the eye sees of the Burger: its tiers, wheels and lidar, and a camera.
+"""Parts of the Burger that are only drawn: tiers, wheels and lidar; and a camera.
 
 Measures are those of ROBOTIS' drawing: 0.138 m long, 0.178 m wide over the tyres and
 0.192 m high, four plates on pillars, the LDS-01 on the uppermost.
@@ -31,7 +31,7 @@ _SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
 def add_robot_looks(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, *, middle_x_m: float, floor_z_m: float
 ) -> None:
-    """Add plates on pillars, what stands on them, the lidar, and a camera behind.
+    """Add plates on pillars, the parts on them, the lidar, and a camera behind.
 
     Args:
         spec: The model.

@@ -14,7 +14,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 ABSENT_M = 100.0
-"""Where shapes are put that a layout does not use, far beyond sight."""
+"""Place of shapes that a layout does not use, far out of sight."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def clearance(points: Any, places: Any, is_box: Any, half_size: Any) -> Any:
     dx = points[:, None, 0] - places[..., 0]
     dy = points[:, None, 1] - places[..., 1]
     cosine, sine = places[..., 2], places[..., 3]
-    # In a box's own frame its surface is where one of these two is zero.
+    # In the frame of a box its surface is where one of these two is zero.
     over_x = xp.abs(cosine * dx + sine * dy) - half_size[:, 0]
     over_y = xp.abs(cosine * dy - sine * dx) - half_size[:, 1]
     outside = xp.hypot(xp.clip(over_x, 0.0, None), xp.clip(over_y, 0.0, None))

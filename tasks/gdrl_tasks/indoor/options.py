@@ -1,4 +1,4 @@
-"""What the indoor task can be told. Imports neither MuJoCo nor numba, which cost time."""
+"""Options of the indoor task. Imports neither MuJoCo nor numba, which take time."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Literal
 from gdrl_tasks.checks import check_choice, check_fields, check_times, within
 
 STEP_LIMITS = {"paper": 500, "scatter": 500, "corridor": 1000}
-"""Control steps that an episode takes at most unless told otherwise, by arena."""
+"""Default step limit of an episode, by arena."""
 
 LONGEST_STEP_M = 0.11
 """Longest way of a control step: the radius of the footprint. Contacts are looked for at
-the ends of steps, so none of what lies between is further away than that."""
+the ends of steps only, and no place between them is further away than that."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +43,7 @@ class IndoorOptions:
     range_noise: bool = False
     """Whether ranges have the errors of the LDS-01's precision."""
     scan_hold: bool = False
-    """Whether the lidar scans at 5 Hz, so that some steps see an old scan."""
+    """Whether the lidar scans at 5 Hz, so that some steps observe an old scan."""
     at_limit: Literal["terminated", "truncated"] = "terminated"
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     control_interval_s: float = within(0.12, above=0.0, most=10.0)

@@ -23,7 +23,7 @@ from gdrl_tasks.indoor.scenery import (
 WHEEL_RADIUS_M = 0.033
 WHEEL_SEPARATION_M = 0.160
 BODY_X_M = -0.032
-"""Middle of the body, and the lidar, behind the axle."""
+"""Distance of the middle of the body, and of the lidar, behind the axle."""
 FOOTPRINT_M = 0.11
 """Radius of the disc around the body's middle that holds body and wheels."""
 LIDAR_HEIGHT_M = 0.18
@@ -31,23 +31,23 @@ BURGER_WHEEL_SPEED_M_S = 0.227
 """Fastest rim speed of the Burger's wheels."""
 
 OBSTACLE_GROUP = 2
-"""Group of the geoms that the lidar sees: walls and obstacles."""
+"""Group of the geoms that the lidar detects: walls and obstacles."""
 
 _BODY_MASS_KG = 0.8257 + 0.114 + 0.005
 _WHEEL_MASS_KG = 0.0285
 _CENTRE_OF_MASS_Z_M = 0.06
-"""Over the floor: batteries and motors are low (an estimate)."""
+"""Height above the floor: batteries and motors are low (an estimate)."""
 _BODY_SIZE_M = (0.138, 0.178, 0.143)
 _CASTER_X_M, _CASTER_RADIUS_M = -0.081, 0.005
 # Reflected inertia of a 258:1 gear motor (an estimate); with it the wheels answer a
 # command with the time constant of the servo, whatever the softness of the contact.
 _ROTOR_INERTIA_KG_M2 = 1e-3
 _SERVO_TIME_S = 0.03
-# Half of what makes a tyre slip on the floor at once. With the servo's stall torque
-# (1.4 N m) tyres slip at every change of the turn rate, robots lose a third of their
-# speed then, and the engine's solver takes up to seven rounds instead of one or two.
+# Half of the torque at which a tyre begins to slip. With the servo's stall torque
+# (1.4 N m) tyres slip at every change of the turn rate, robots then lose a third of their
+# speed, and the engine's solver takes up to seven rounds instead of one or two.
 _LARGEST_TORQUE_NM = 0.15
-# Stiff, so that the weight does not press the wheels 2 % of their radius into the floor.
+# Stiff: otherwise the weight presses the wheels 2 % of their radius into the floor.
 _FLOOR_IMPEDANCE = [0.99, 0.999, 0.001, 0.5, 2.0]
 
 _FLOOR_BIT, _OBSTACLE_BIT = 1, 2
@@ -79,11 +79,11 @@ def model_xml(
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     disable = mujoco.mjtDisableBit
-    # A diverged world must stay diverged for the task to see it, not start afresh.
+    # No reset after divergence: the task must find the diverged state.
     option.disableflags |= disable.mjDSBL_AUTORESET
-    # Bounding volumes are those of the places at compilation, which are not the worlds'.
+    # Bounding volumes are compiled for other places than those of the worlds.
     option.disableflags |= disable.mjDSBL_MIDPHASE
-    # One robot is one island: looking for more takes a tenth of the time.
+    # One robot is one island; looking for more takes a tenth of the time.
     option.disableflags |= disable.mjDSBL_ISLAND
     _add_room(spec, shapes, half_extent_m, goal_tolerance_m)
     _add_robot(spec)
@@ -102,13 +102,13 @@ def _add_room(
     half_extent_m: tuple[float, float],
     goal_tolerance_m: float,
 ) -> None:
-    """Light, floor, walls and obstacles, the goal, and a camera over all of it."""
+    """Light, floor, walls and obstacles, the goal, and a camera above."""
     add_room_looks(spec, half_extent_m, shapes.height_m)
     world = spec.worldbody
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        # Drawn in tiles of this size: those of a metre take a third of all rendering.
+        # Size of the tiles that are drawn; tiles of a metre take a third of all rendering.
         size=[0.0, 0.0, 20.0],
         material="floor",
         contype=_FLOOR_BIT,
@@ -127,8 +127,8 @@ def _add_room(
             type=shape.mjGEOM_BOX if is_box else shape.mjGEOM_CYLINDER,
             size=size if is_box else [half_size[0], half_height, 0.0],
             pos=[ABSENT_M, ABSENT_M, half_height],
-            # Turned, or the compiler would note that they are not and the engine would
-            # never read the worlds' own turns.
+            # Turned: the compiler marks shapes without a turn, and the engine would then
+            # ignore the worlds' own turns.
             quat=[0.96, 0.0, 0.0, 0.28],
             rgba=WALL_COLOUR if number < 4 else OBSTACLE_COLOUR,
             contype=_OBSTACLE_BIT,
@@ -147,14 +147,14 @@ def _add_robot(spec: mujoco.MjSpec) -> None:
         name="robot",
         pos=[0.0, 0.0, WHEEL_RADIUS_M],
         mass=_BODY_MASS_KG,
-        # Of a uniform box of the body's size.
+        # Inertia of a uniform box of the body's size.
         inertia=np.round(np.array([y + z, x + z, x + y]) * _BODY_MASS_KG / 12.0, 6),
         ipos=[BODY_X_M, 0.0, _CENTRE_OF_MASS_Z_M - WHEEL_RADIUS_M],
         explicitinertial=True,
     )
     body.add_freejoint(name="robot")
-    # The footprint is a disc, so what touches is a sphere: its widest circle is the
-    # footprint, and spheres are the fastest shape against boxes and cylinders.
+    # The footprint is a disc, so obstacles are touched by a sphere. Its widest circle is
+    # the footprint, and a sphere is the fastest shape against boxes and cylinders.
     body.add_geom(
         name="bumper",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,

@@ -1,4 +1,4 @@
-"""What only the eye sees of the room: light and colours, the goal's mark, beams."""
+"""Parts of the room that are only drawn: light and colours, the goal's mark, beams."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ OBSTACLE_COLOUR = [0.3, 0.5, 0.7, 1.0]
 _CORNER_COLOUR, _CORNER_M = [0.42, 0.45, 0.49, 1.0], 0.055
 
 _SUN = (0.42, 0.6, -1.0)
-"""Direction of the light: from aside, so that no two faces of a box are equally light."""
+"""Direction of the light: from aside, so that all faces of a box differ in brightness."""
 _ZENITH, _NADIR = (0.62, 0.74, 0.86), (0.96, 0.97, 0.98)
 
 _TOP_FOVY_DEG = 30.0
 _TOP_MARGIN_M = 0.35
-"""Of floor around the walls in the view from above."""
+"""Width of the floor around the walls in the view from above."""
 _TOP_ASPECT = 4.0 / 3.0
 """Width over height of the narrowest picture that holds the arena's length."""
 
 _MOST_BEAMS = 36
-"""As many beams are drawn at most, evenly chosen: more hide the floor."""
+"""Most beams that are drawn, evenly chosen; more would hide the floor."""
 _BEAM_START_M = 0.04
 _BEAM_HALF_WIDTHS_M, _HIT_HALF_WIDTHS_M = [0.003, 0.017], [0.010, 0.030]
-"""At the lidar and at its range: thin lines from behind, and a pixel from above."""
+"""Widths at the lidar and at its range: thin lines from behind, a pixel from above."""
 _BEAM_OPACITY = 0.4
 _FADES = np.linspace(0.9, 0.1, 6)
-"""Opacity of the parts of a beam that hits nothing, as shares of that of one that does."""
+"""Opacity of the parts of a beam that hits nothing, relative to a beam that hits."""
 
 
 def add_room_looks(
@@ -49,7 +49,7 @@ def add_room_looks(
         height_m: Height of the walls.
     """
     visual = spec.visual
-    # Together with the lamp not above 1, where colours would be cut off.
+    # The sum with the lamp is at most 1; above that colours would be cut off.
     visual.headlight.ambient = [0.42, 0.42, 0.42]
     visual.headlight.diffuse = [0.1, 0.1, 0.1]
     visual.headlight.specular = [0.0, 0.0, 0.0]
@@ -58,9 +58,9 @@ def add_room_looks(
     spec.stat.center = [0.0, 0.0, 0.0]
     visual.map.znear = 0.01
     visual.map.zfar = 40.0
-    # The corners of the arena, seen by the light.
+    # The corners of the arena, seen from the light.
     visual.map.shadowclip = 1.02 * math.hypot(*half_extent_m) / max(half_extent_m)
-    # The sky's own colour at the horizon: with another one there is a stripe.
+    # The sky's colour at the horizon: any other colour would give a stripe.
     visual.rgba.haze = [*(0.5 * (np.array(_ZENITH) + _NADIR)), 1.0]
     spec.add_texture(
         name="sky",
@@ -106,10 +106,10 @@ def add_room_looks(
 def add_corners(
     spec: mujoco.MjSpec, half_extent_m: tuple[float, float], height_m: float
 ) -> None:
-    """Add posts where walls overlap, which would be lit twice there.
+    """Add posts at the corners, where overlapping walls would be lit twice.
 
     Args:
-        spec: The model, with its walls: their numbers stay what they are.
+        spec: The model with its walls, whose numbers do not change.
         half_extent_m: Half the arena's length and width.
         height_m: Height of the walls.
     """
@@ -168,7 +168,7 @@ def add_scan(spec: mujoco.MjSpec, body: str, lidar_m: list[float]) -> None:
         skin.vert = np.zeros(12 * _MOST_BEAMS)
         skin.face = faces
         skin.bodyname = [body]
-        # Vertices are where they are bound to the body: seen from the lidar.
+        # Vertices are given relative to the lidar, as they are bound to the body.
         skin.bindpos = [-x for x in lidar_m]
         skin.bindquat = [1.0, 0.0, 0.0, 0.0]
         skin.vertid = [list(range(4 * _MOST_BEAMS))]
@@ -178,11 +178,11 @@ def add_scan(spec: mujoco.MjSpec, body: str, lidar_m: list[float]) -> None:
 def draw_scan(physics: Any, ranges_m: np.ndarray, angles_rad: np.ndarray) -> None:
     """Bring the drawn beams of a dm_control physics up to date.
 
-    Those that hit end on what they hit, with a mark; the others fade out.
+    Beams that hit something end there, with a mark; the others fade out.
 
     Args:
         physics: Physics of :func:`gdrl_tasks.indoor.robot.model_xml`'s model.
-        ranges_m: How far the beams go where the robot is now, ``[B]``.
+        ranges_m: True ranges of the beams where the robot is now, ``[B]``.
         angles_rad: Directions of the beams from straight ahead, ``[B]``.
     """
     count = len(ranges_m)
@@ -203,7 +203,7 @@ def draw_scan(physics: Any, ranges_m: np.ndarray, angles_rad: np.ndarray) -> Non
     model = physics.model
     for name, vertices in strips.items():
         first = model.skin_vertadr[model.name2id(name, "skin")]
-        # Those without a beam stay in the lidar's middle, where they cover nothing.
+        # Vertices without a beam are in the lidar's middle, where they cover nothing.
         model.skin_vert[first : first + 4 * _MOST_BEAMS] = 0.0
         model.skin_vert[first : first + len(vertices)] = vertices
 
@@ -222,7 +222,7 @@ def _ribbons(
     start_half_width: np.ndarray,
     end_half_width: np.ndarray,
 ) -> np.ndarray:
-    """Corners of level strips along beams ``[B]``, to be seen from above, ``[4 B, 3]``."""
+    """Corners of level strips along beams ``[B]``, visible from above, ``[4 B, 3]``."""
     level = np.zeros_like(angles)
     along = np.stack([np.cos(angles), np.sin(angles), level], axis=-1)
     aside = np.stack([-np.sin(angles), np.cos(angles), level], axis=-1)

@@ -33,13 +33,13 @@ from gdrl_tasks.task import (
 )
 
 COLLISION_MARGIN_M = 0.005
-"""A footprint this near to an obstacle touches it: walls are solid."""
+"""A footprint this near to an obstacle counts as touching it: walls are solid."""
 DISTANCE_SCALE_M = 5.0
 _FARTHEST_SEEN = 4.0
 """Largest goal distance that is observed, in units of the scale."""
 _FIRST = np.zeros(1, dtype=np.int64)
 _OVERSHOOT = 1.2
-"""Largest speed over the commanded one, with room to spare."""
+"""Largest speed in units of the commanded one, with a margin."""
 
 
 class IndoorTask(NavigationTask):
@@ -84,7 +84,7 @@ class IndoorTask(NavigationTask):
         self._turn_rates = np.radians(options.turn_rates_deg_s)
         speeds = np.full(len(self._turn_rates), options.speed_m_s)
         self._discrete = self.wheel_rates(speeds, self._turn_rates)
-        # The same in both models: what is left out comes after them.
+        # Their numbers are the same in both models: geoms that are left out come later.
         self._geoms = obstacle_geoms(mujoco.MjModel.from_xml_string(self.xml()))
 
     @property
@@ -122,7 +122,7 @@ class IndoorTask(NavigationTask):
         ahead = np.array([math.cos(scene.heading_rad), math.sin(scene.heading_rad)])
         qpos = np.zeros(9)
         qpos[:2] = scene.start - BODY_X_M * ahead
-        # Where the weight has pressed the tyres a little into the floor.
+        # Height at which the weight has pressed the tyres a little into the floor.
         qpos[2] = WHEEL_RADIUS_M - 0.0001
         qpos[3] = math.cos(0.5 * scene.heading_rad)
         qpos[6] = math.sin(0.5 * scene.heading_rad)
@@ -155,7 +155,7 @@ class IndoorTask(NavigationTask):
         arrays["control"][ids] = self.wheel_rates(speed, action[:, 1] * fastest_turn)
 
     def wheel_rates(self, speed_m_s: np.ndarray, turn_rad_s: np.ndarray) -> np.ndarray:
-        """Rates of the left and right wheel, rad/s, ``[K, 2]``, as far as they go."""
+        """Rates of the left and right wheel, rad/s, ``[K, 2]``, within their limit."""
         difference = 0.5 * WHEEL_SEPARATION_M * turn_rad_s
         rims = np.stack([speed_m_s - difference, speed_m_s + difference], axis=-1)
         if self.options.wheel_speed_limit is not None:
@@ -180,7 +180,7 @@ class IndoorTask(NavigationTask):
     def sense(
         self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> None:
-        """Scan, where a new scan is due."""
+        """Make a scan in worlds where a new one is due."""
         number = arrays["steps"][ids]
         if self.options.scan_hold:
             time_s = number * self.spec.control_interval_s
@@ -192,7 +192,7 @@ class IndoorTask(NavigationTask):
         ranges = self._cast(arrays, ids, position, yaw)
         if self.options.range_noise:
             noise = lidar.range_noise(ranges, arrays["episode_seed"][ids], number)
-            # A beam that hits nothing reports nothing, whatever the errors.
+            # A beam that hits nothing reads the farthest range, without errors.
             ranges += np.where(ranges < lidar.FARTHEST_M, noise, 0.0)
             np.clip(ranges, lidar.NEAREST_M, lidar.FARTHEST_M, out=ranges)
         arrays["scan"][ids] = ranges
@@ -205,9 +205,9 @@ class IndoorTask(NavigationTask):
         return {"lidar": arrays["scan"][ids] / lidar.FARTHEST_M}
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
-        """Draw the beams as they go where the robot is drawn.
+        """Draw the beams with true ranges from where the robot is drawn.
 
-        Not the last report: that may be older, and it has errors.
+        The last scan is not drawn: it may be older, and it may have errors.
         """
         qpos = physics.data.qpos[None]
         if not np.isfinite(qpos).all():
@@ -218,7 +218,7 @@ class IndoorTask(NavigationTask):
     def _cast(
         self, arrays: WorldArrays, ids: WorldIndex, position: np.ndarray, yaw: np.ndarray
     ) -> np.ndarray:
-        """How far the beams go from where robots are, metres, ``[K, B]``."""
+        """True ranges of the beams from where robots are, metres, ``[K, B]``."""
         return scan_ahead(
             position,
             yaw,

@@ -9,23 +9,24 @@ import numpy as np
 from gdrl_tasks.compiled import compiled
 
 _SLOPES = 256
-"""Directions that are told apart behind each of the four sides of a square."""
+"""Number of directions behind each of the four sides of a square."""
 
 
 @compiled
 def sure_looks(spare: np.ndarray, free: float, fast: float) -> np.ndarray:
-    """How far :func:`goal_in_sight` may go on without a look, for each cell ``[R, C]``.
+    """How far :func:`goal_in_sight` may go without a look, for each cell ``[R, C]``.
 
-    ``spare`` is the room around each cell ``[R, C]``; ``free`` is how much of it a free
-    cell has, ``fast`` one that is passed at full speed, all in cells. 0 is a cell that
-    is not free, 1 one that is slow, others are one more than the looks (half a cell each)
-    until there may be something in the way, the next one included.
+    ``spare`` is the room around each cell ``[R, C]``; ``free`` is the least room of a
+    free cell and ``fast`` that of a cell that is passed at full speed, all in cells. The
+    result is 0 for a cell that is not free and 1 for a slow one. For others it is one more
+    than the number of looks (half a cell each), the next one included, until there may be
+    something in the way.
     """
     looks = np.empty(spare.shape, dtype=np.uint8)
     for r in range(spare.shape[0]):
         for c in range(spare.shape[1]):
-            # Room shrinks by a cell per cell at most. A look is within 0.71 cells of the
-            # middle of its own cell, within 1.12 of a corner's that it may cut.
+            # Room shrinks by at most one cell per cell. A look is within 0.71 cells of its
+            # own cell's middle, and within 1.12 of the middle of one whose corner it cuts.
             sure = 2.0 * (spare[r, c] - fast - 1.9)
             looks[r, c] = 1 + min(max(sure, 1.0), 250.0)
             if spare[r, c] < fast:
@@ -44,12 +45,13 @@ def goal_in_sight(
 ) -> bool:
     """Whether the straight way from a cell to a goal is free and at full speed.
 
-    Then it is the shortest, and the sweeps need not find it: their differences are of
-    first order and make it up to a tenth too long. ``looks`` ``[R, C]`` are those of
-    :func:`sure_looks`; the last share of the way that is ``known`` to be so needs none.
+    Then the straight way is the shortest, and no sweep is needed: the differences of
+    sweeps are of first order and make ways up to a tenth too long. ``looks`` ``[R, C]``
+    are those of :func:`sure_looks`; the last share of the way, which is ``known`` to be
+    free and fast, needs no looks.
     """
     rows, columns = looks.shape
-    # Two looks per cell of the way.
+    # There are two looks per cell of the way.
     count = int(2.0 * math.sqrt(rows_away * rows_away + columns_away * columns_away)) + 1
     step_r, step_c = rows_away / count, columns_away / count
     last_r, last_c = row, column
@@ -62,7 +64,7 @@ def goal_in_sight(
         sure = looks[r, c]
         if sure < 2:
             return False
-        # Between two cells that share a corner there may be no room.
+        # Between two cells that share only a corner there may be no room.
         if r != last_r and c != last_c and not looks[last_r, c] and not looks[r, last_c]:
             return False
         i += sure - 1
@@ -86,16 +88,16 @@ def fast_sweep(
     See :meth:`gdrl_tasks.indoor.free_space.FreeSpace.distances_to`; ``goal_dx`` ``[C]``
     and ``goal_dy`` ``[R]`` are distances of columns and rows to the goal; ``looks``
     ``[R, C]`` are those of :func:`sure_looks`. Cells farther from the goal than ``reach``
-    are left out: times up to it, at full speed, do not depend on theirs.
+    are left out: times up to ``reach``, at full speed, do not depend on them.
     """
     rows, columns = looks.shape
     first_r, last_r = _rows_within(goal_dy, reach)
     first_c, last_c = _rows_within(goal_dx, reach)
-    # With a border that nothing ever comes from.
+    # With a border of cells that are never reached.
     arrival = np.full((rows + 2, columns + 2), np.inf)
     is_open = np.zeros(arrival.shape, dtype=np.uint8)
     _arrive_straight(looks, speed, goal_dx, goal_dy, cell, reach, arrival, is_open)
-    # A cell is held against its neighbours again only if one of them has changed.
+    # A cell is compared with its neighbours again only if one of them has changed.
     due = np.zeros_like(is_open)
     for r in range(first_r + 1, last_r + 2):
         for c in range(first_c + 1, last_c + 2):
@@ -115,7 +117,7 @@ def fast_sweep(
                         arrival[r + 1, c + 1] = new
                         _make_neighbours_due(due, is_open, r + 1, c + 1)
                         changed = True
-        # Every cell was held against all its neighbours: no sweep will change it.
+        # Every cell was compared with all its neighbours: no sweep will change any.
         if not changed:
             break
     return arrival[1:-1, 1:-1].copy()
@@ -123,7 +125,7 @@ def fast_sweep(
 
 @compiled
 def _rows_within(away: np.ndarray, reach: float) -> tuple[int, int]:
-    """First and last of the rows whose distances ``[R]``, in order, are in reach."""
+    """First and last of the rows whose distances ``[R]``, in order, are within reach."""
     first, last = 0, len(away) - 1
     while first < last and abs(away[first]) > reach:
         first += 1
@@ -154,7 +156,7 @@ def _arrive_straight(
     """Write the times of cells from which the way to the goal is straight.
 
     ``is_open`` becomes 1 for the other free cells. A straight way at full speed is the
-    shortest, and differences never make it shorter, for distance is convex.
+    shortest. The differences of sweeps never give a shorter one, as distance is convex.
     """
     rows_away, columns_away = goal_dy / cell, goal_dx / cell
     hidden, clear = horizons(looks, rows_away, columns_away, reach / cell)
@@ -184,7 +186,7 @@ def _arrive_straight(
 
 @compiled
 def _direction(y: float, x: float) -> tuple[int, int, float]:
-    """The side of a square around the goal that a cell is behind, where, how far."""
+    """The side of a square around the goal that a cell is behind, its slope, how far."""
     if abs(x) >= abs(y):
         face, along, across = (0, x, y) if x >= 0.0 else (1, -x, y)
     else:
@@ -200,24 +202,24 @@ def horizons(
     columns_away: np.ndarray,
     reach: float = np.inf,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What :func:`goal_in_sight` surely says, by direction, without any look.
+    """Bounds, by direction, within which :func:`goal_in_sight` is known without a look.
 
     Seen from the goal, cells are behind one of the four sides of a square, at a slope.
-    A cell at least ``hidden`` cells along has a cell in between where a look surely falls
-    and finds no full speed; one at most ``clear`` cells along is nearer than all that a
-    look may find. Those between must look.
+    A cell ``hidden`` or more cells along has a cell in between that a look surely falls
+    into and that is not fast. A cell at most ``clear`` cells along is nearer than anything
+    that a look may find. Cells between the two must look.
 
     Args:
-        looks: As of :func:`sure_looks`, ``[R, C]``.
+        looks: As from :func:`sure_looks`, ``[R, C]``.
         rows_away: Rows from each row to the goal, ``[R]``.
         columns_away: Columns from each column to the goal, ``[C]``.
-        reach: How far cells may be from the goal that are asked for, in cells.
+        reach: Largest distance from the goal of cells that are asked for, in cells.
 
     Returns:
         ``hidden`` and ``clear``, in cells, ``[4, slopes]``.
     """
     hidden, clear = np.full((4, _SLOPES), np.inf), np.full((4, _SLOPES), np.inf)
-    # Looks at a goal in the outermost half cell may fall outside the grid.
+    # For a goal in the outermost half cell looks may fall outside the grid.
     if min(rows_away[0], columns_away[0], -rows_away[-1], -columns_away[-1]) < 0.0:
         clear[:] = 0.0
     rows, columns = looks.shape
@@ -227,7 +229,7 @@ def horizons(
         for c in range(first_c, last_c + 1):
             if looks[r, c] >= 2:
                 continue
-            # What is behind others on all sides hides nothing more.
+            # A cell that is behind others on all sides hides nothing more.
             above, below = looks[max(r - 1, 0), c], looks[min(r + 1, rows - 1), c]
             left, right = looks[r, max(c - 1, 0)], looks[r, min(c + 1, columns - 1)]
             if max(above, below, left, right) < 2:
@@ -244,8 +246,8 @@ def horizons(
 def _hide(
     face: int, along: float, across: float, hidden: np.ndarray, clear: np.ndarray
 ) -> None:
-    """Lower the horizons behind a side by what a cell that is not fast hides there."""
-    # A look that finds it, or cuts its corner, is within 1.12 cells of its middle.
+    """Lower the horizons behind a side for what a cell that is not fast hides there."""
+    # A look that falls into it, or cuts its corner, is within 1.12 cells of its middle.
     if along < -1.3:
         return
     if along < 1.8:
@@ -253,13 +255,13 @@ def _hide(
             clear[face] = 0.0
         return
     middle, scale = (across / along + 1.0) * (_SLOPES / 2), _SLOPES / 2 / along
-    # 1.12 cells from a line is at most sqrt(2) as much across.
+    # 1.12 cells from a line are at most sqrt(2) times as many across it.
     first, last = middle - 1.75 * scale, middle + 1.75 * scale
     if last < 0.0 or first >= _SLOPES:
         return
     for n in range(int(max(first, 0.0)), int(min(last, _SLOPES - 1.0)) + 1):
         clear[face, n] = min(clear[face, n], along - 1.3)
-    # A line as near to its middle is in it for more than half a cell, so for a look.
+    # A line this near to its middle is in it for more than half a cell, so a look is too.
     first, last = math.ceil(middle - 0.45 * scale), math.floor(middle + 0.45 * scale)
     for n in range(max(first, 0), min(last, _SLOPES)):
         hidden[face, n] = min(hidden[face, n], along + 0.75)
@@ -267,11 +269,11 @@ def _hide(
 
 @compiled
 def _arrival_from_neighbours(arrival: np.ndarray, r: int, c: int, step: float) -> float:
-    """Time of a cell from the earlier ones at its sides, a step apart."""
+    """Time of a cell from the earlier of the cells at its sides, a step apart."""
     a = min(arrival[r, c + 1], arrival[r + 2, c + 1])
     b = min(arrival[r + 1, c], arrival[r + 1, c + 2])
     low, high = min(a, b), max(a, b)
-    # Both are infinite where no way has led yet, and then their difference is no number.
+    # Both are infinite before any way leads here, and then their difference is NaN.
     if not high - low < step:
         return low + step
     gap = high - low

@@ -29,9 +29,9 @@ class HullParameters:
     """Height of a hull from keel to deck."""
     waterplane_coefficient: float = 0.7
     centre_of_gravity_m: float = 0.15
-    """Height of the centre of gravity over the keel."""
+    """Height of the centre of gravity above the keel."""
     yaw_inertia_total_kg_m2: float = 10.0
-    """Rigid body and added inertia together, that of the nominal Heron."""
+    """Inertia of rigid body and added mass together, that of the nominal Heron."""
     surge_quadratic: float = 17.26
     sway_linear: float = 99.99
     sway_quadratic: float = 99.99
@@ -44,7 +44,7 @@ class HullParameters:
     stations: int = 9
     """Hull points along each hull."""
     acting_draft: float = 0.5
-    """Wetted depth, over the draft, from which on the water acts in full."""
+    """Wetted depth, divided by the draft, from which on the water acts in full."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
     """Derive the constants of the equations of motion.
 
     Raises:
-        ValueError: If no spread of the mass over the two hulls and the middle between
-            them has the yaw inertia.
+        ValueError: If no distribution of the mass over the two hulls and the middle
+            between them has the yaw inertia.
 
     Examples:
         >>> hull = make_hull()
@@ -123,15 +123,15 @@ def make_hull(parameters: HullParameters | None = None) -> Hull:
     natural = math.sqrt(stiffness / (p.mass_kg + heave))
     damping = _section_damping(natural, p.hull_beam_m, draft)
     damping *= 2.0 * p.length_m * p.waterplane_coefficient
-    # Heave, roll and pitch damping and added mass act at the hull points; their rigid
-    # sums appear here because the equations of motion are solved for them implicitly.
+    # Damping and added mass in heave, roll and pitch act at the hull points. Their sums
+    # for a rigid hull are here because the equations of motion use them implicitly.
     return Hull(
         mass_kg=p.mass_kg,
         draft_m=draft,
         depth_m=p.depth_m,
         acting_depth_m=p.acting_draft * draft,
         spacing_m=spacing,
-        # Rounded to what a model in XML carries, so that both know the same rigid body.
+        # Rounded as in a model's XML, so that both have the same rigid body.
         inertia=np.round(_inertia(p, yaw_added), 3),
         added_mass=np.array(
             [
@@ -177,7 +177,7 @@ def _inertia(p: HullParameters, yaw_added: float) -> np.ndarray:
     The two hulls carry their part of the mass evenly over the area of their waterplanes:
     across each hull evenly over its beam, along it as 1 - |2 x / length|^n, which has the
     waterplane coefficient n / (n + 1). The rest is compact and in the middle: payload and
-    batteries. All mass is spread evenly from keel to deck. How large the hulls' part is
+    batteries. All mass is spread evenly from keel to deck. The size of the hulls' part
     follows from the yaw inertia.
     """
     exponent = p.waterplane_coefficient / (1.0 - p.waterplane_coefficient)

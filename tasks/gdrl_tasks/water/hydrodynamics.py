@@ -2,12 +2,12 @@
 
 MuJoCo's rigid body cannot carry a body-frame added mass, so the accelerations are
 solved here, (M_RB + M_A) dnu/dt = tau - C nu - D nu_r - g + M_A dnu_w/dt (Fossen 2011,
-eq. 8.1 with relative velocity), and the wrench is applied that makes MuJoCo's rigid body
-move with exactly that acceleration.
+eq. 8.1 with relative velocity). MuJoCo's rigid body then gets the wrench that gives it
+exactly that acceleration.
 
-Damping is taken at the middle of the substep (its slope joins the mass matrix) and an
-episode starts with half a kick: MuJoCo's semi-implicit step becomes a leapfrog, which is
-second-order accurate and allows substeps several times longer.
+Damping is taken at the middle of the substep (its slope is added to the mass matrix) and
+an episode starts with half a kick. So MuJoCo's semi-implicit step becomes a leapfrog,
+which is second-order accurate and allows substeps several times longer.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def hull_wrench(
     amplitude, frequency = sea["amplitude"], sea["omega"]
     speed = amplitude * frequency * sea["decay"]
     wavenumber = xp.hypot(kx, ky)
-    # Wave pressure decays with depth (Smith effect): it carries the hull at keel depth,
-    # decay squared, and pushes its sides with the mean over the draft, about decay.
+    # Wave pressure decays with depth (Smith effect). The lift has the pressure at keel
+    # depth (decay squared), the push on the sides the mean over the draft (about decay).
     decay = sea["decay"]
     surface = _sum_components(xp, amplitude * decay * decay, cosine)
     slope_x = -_sum_components(xp, amplitude * decay * kx, sine)
@@ -131,8 +131,8 @@ def hull_wrench(
     )
 
     # Forces at the points: buoyancy normal to the surface (Froude-Krylov), wave-making
-    # damping and added mass on the motion relative to the water (strip theory). The water
-    # acts on a point by its share: the mean of those at the ends of the substep.
+    # damping and added mass on the motion relative to the water (strip theory). All are
+    # scaled by the wet share of the point, the mean of both ends of the substep.
     deep = surface - position[..., 2] + 0.5 * hull.draft_m
     lift = WATER_DENSITY_KG_M3 * GRAVITY_M_S2 * hull.point_area_m2
     lift = lift * xp.clip(deep, 0.0, hull.depth_m)
@@ -152,9 +152,9 @@ def hull_wrench(
     force = to_body(xp.sum(force_points, axis=1))
     torque = to_body(xp.sum(_cross(xp, arm, force_points), axis=1))
 
-    # On the hull as a whole it acts by the mean share. Water that the hull takes along
-    # from now on has to be brought to its speed (von Karman 1929), water that it leaves
-    # behind keeps its own.
+    # Forces on the whole hull are scaled by the mean share. Water that the hull begins to
+    # take along has to be brought to the hull's speed (von Karman 1929); water that the
+    # hull leaves behind keeps its speed.
     wetted = xp.mean(share, axis=-1)[:, None]
     taken = xp.clip(xp.mean(after - before, axis=-1), 0.0, None)[:, None] / substep_s
     added = xp.asarray(hull.added_mass, dtype=qpos.dtype)
@@ -162,22 +162,22 @@ def hull_wrench(
     quadratic = xp.asarray(hull.quadratic_damping, dtype=qpos.dtype)
     inertia = xp.asarray(hull.inertia, dtype=qpos.dtype)
 
-    # Body frame: relative velocity, drag, thrust, gravity, water that moves by itself.
+    # Body frame: relative velocity, drag, thrust, gravity, acceleration of the water.
     relative = to_body(qvel[:, :3] - water_velocity)
     motion = xp.concat([relative, omega_body], axis=-1)
-    # Heave, roll and pitch have their damping at the points.
+    # Heave, roll and pitch are damped at the points.
     here = xp.asarray([1.0, 1.0, 0.0, 0.0, 0.0, 1.0], dtype=qpos.dtype)
     resists = wetted * here * (linear + quadratic * xp.abs(motion)) + taken * added
     drag = resists * motion
     gravity = to_body(xp.concat([flat, flat, flat - GRAVITY_M_S2], axis=-1))
     inflow = to_body(water_acceleration) * here[:3]
-    # A thruster pushes as far as the stern of its hull is in the water, keel down.
+    # Thrust is scaled by the wet share of the hull's stern; upside down there is none.
     stern = xp.stack([share[:, share.shape[1] // 2], share[:, 0]], axis=-1)
     thrust = xp.where(rotation[:, 2, 2:] > 0.0, stern * thrust, 0.0)
     push = thrust[:, 0:1] + thrust[:, 1:2]
     turn = hull.lever_m * (thrust[:, 1:2] - thrust[:, 0:1])
 
-    # Solve for the acceleration, damping at the middle of the substep.
+    # Solve for the acceleration, with damping at the middle of the substep.
     slope = wetted * (linear + 2.0 * quadratic * xp.abs(motion)) + taken * added
     stiffness = xp.asarray(hull.stiffness, dtype=qpos.dtype)
     carries = wetted * added
@@ -190,8 +190,8 @@ def hull_wrench(
         - drag[:, 3:]
     )
     spin_rate = start * torque / (inertia + moves[:, 3:])
-    # The added mass turns with the hull. Without the Munk moment (see the README) what
-    # keeps the energy is the Coriolis force of what it has more than in surge.
+    # The added mass turns with the hull. Without the Munk moment (see the README) energy is
+    # kept by the Coriolis force of the added mass beyond that in surge.
     omega_now = omega_body + half * spin_rate
     force = (
         force

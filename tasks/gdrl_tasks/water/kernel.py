@@ -1,9 +1,9 @@
 """The water forces of one substep as a compiled loop over worlds.
 
-The same arithmetic as :mod:`gdrl_tasks.water.hydrodynamics`, which is its definition:
-a test holds the two together to 1e-12. No fast-math: loops are laid out so that the
+The definition of this arithmetic is :mod:`gdrl_tasks.water.hydrodynamics`; a test holds
+the two to 1e-12 of each other. There is no fast-math: loops are laid out so that the
 compiler may work on several waves or hull points at once without changing any sum. Along
-a hull the wave phases are equally spaced, so their sines follow from one another by
+a hull the wave phases are equally spaced, so each sine follows from the one before by a
 rotation.
 """
 
@@ -18,8 +18,8 @@ from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, Hull
 from gdrl_tasks.water.waves import SEA_FIELDS
 
 _ROW = 64
-"""Length of a row of the scratch memory, and so the most points of a hull. A constant:
-the compiler then knows that rows do not overlap."""
+"""Length of a row of the scratch memory, and so the most points of a hull. It is
+a constant, so that the compiler knows that rows do not overlap."""
 _SURFACE, _SLOPE_X, _SLOPE_Y, _RISE, _RISE_RATE, _COS, _SIN = (_ROW * i for i in range(7))
 _ARM_X, _ARM_Y, _ARM_Z, _FORCE_X, _FORCE_Y, _FORCE_Z = (_ROW * i for i in range(7, 13))
 _BEFORE, _AFTER = _COS, _SIN
@@ -30,7 +30,7 @@ _HALF_PI_HIGH = 1.57079632673412561417e00
 _HALF_PI_MIDDLE = 6.07710050630396597660e-11
 _HALF_PI_LOW = 2.02226624879595063154e-21
 _ROUND = 6755399441055744.0
-"""1.5 * 2**52: adding and taking it away rounds to a whole number."""
+"""1.5 * 2**52: adding and subtracting it rounds to a whole number."""
 
 
 def hull_constants(hull: Hull) -> tuple:
@@ -77,9 +77,10 @@ def sea_arrays(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
 def sines(angle, cosine, sine):  # pragma: no cover - compiled
     """Write cosines and sines of angles below 1e6 radians, all ``[N]``.
 
-    To an absolute error of 1e-15 or, for large angles, of their own rounding. The
+    The absolute error is 1e-15 or, for large angles, that of their own rounding. The
     library's functions take one number at a time; this is a loop without branches.
-    Coefficients are those of the Taylor series, which on [-pi/4, pi/4] needs no better.
+    Coefficients are those of the Taylor series, which is accurate enough on
+    [-pi/4, pi/4].
     """
     for i in range(len(angle)):
         turns = (angle[i] * _TWO_OVER_PI + _ROUND) - _ROUND
@@ -102,7 +103,7 @@ def sines(angle, cosine, sine):  # pragma: no cover - compiled
         even = even * square - 1.0 / 720.0
         even = even * square + 1.0 / 24.0
         even = 1.0 - 0.5 * square + square * square * even
-        # Which quarter of the circle, as -2, -1, 0, 1 or 2.
+        # The quarter of the circle, as -2, -1, 0, 1 or 2.
         quarter = turns - 4.0 * ((0.25 * turns + _ROUND) - _ROUND)
         swapped = quarter * quarter == 1.0
         behind = quarter * quarter == 4.0
@@ -197,7 +198,7 @@ def substep(
         spin_y = rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r
 
         # Water at the points: one sine and cosine per hull and component, and one for
-        # the spacing; the others by rotation.
+        # the spacing of points; the others follow by rotation.
         px, py, pz = points[0, 0], points[1, 0], points[2, 0]
         first_x = qpos[world, 0] + rotation[0, 0] * px + rotation[0, 1] * py
         first_y = qpos[world, 1] + rotation[1, 0] * px + rotation[1, 1] * py
@@ -260,7 +261,7 @@ def substep(
             water_ay += scale * omega * ky * sin_sum
             water_vz += speed / count * sin_sum
 
-        # Forces at the points, first each on its own, then their sums.
+        # Forces at the points: first each alone, then their sums.
         for i in range(count):
             px, py, pz = points[0, i], points[1, i], points[2, i]
             ax = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
@@ -316,7 +317,7 @@ def substep(
         gravity_x = -GRAVITY_M_S2 * rotation[2, 0]
         gravity_y = -GRAVITY_M_S2 * rotation[2, 1]
         gravity_z = -GRAVITY_M_S2 * rotation[2, 2]
-        # The part of the water that the hull carries, and what it takes along.
+        # The share of the hull in the water, and the water that it begins to take along.
         carried_x, carried_y = shares * added[0], shares * added[1]
         carried_z, carried_p = shares * added[2], shares * added[3]
         carried_q, carried_r = shares * added[4], shares * added[5]

@@ -1,4 +1,4 @@
-"""What only the eye sees of the water task: sky, sea, the goal's buoy, the vessel."""
+"""Parts of the water task that are only drawn: sky, sea, the goal's buoy, the vessel."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ SEA_TEXTURE = f"{PAINTED}_sea"
 SEA_PIXELS = 768
 """Rows and columns of the painted sea."""
 SEA_REACH_M = 115.0
-"""From the middle of the painted sea to its edge; a plain of one colour goes on."""
+"""From the middle of the painted sea to its edge; beyond is a plain of one colour."""
 FAR_COLOUR = (0.72, 0.838, 0.98)
-"""Of the sea near the horizon, where it mirrors the sky."""
+"""Colour of the sea near the horizon, where it mirrors the sky."""
 
 _SECTORS, _INNERMOST_M, _OUTERMOST_M = 64, 0.25, 110.0
 _PIXEL_SPREAD_M = 5.0
-"""Pixels of the painted sea are equally small to about this distance from its middle."""
+"""To about this distance from its middle, pixels of the painted sea are equally small."""
 
 _ZENITH, _NADIR = (0.36, 0.58, 0.82), (1.0, 1.0, 1.0)
 _SUN = (0.5, 0.35, -1.0)
@@ -36,8 +36,8 @@ _SPHERE, _ELLIPSOID = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPS
 _MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 # Sections of a pontoon from the transom to the stem: place along its length, half its
-# beam, and how far keel and deck are from the lowest and the highest point, all in
-# parts of the whole.
+# beam, and distances of keel and deck from the lowest and the highest point, all as
+# shares of the whole.
 _SECTIONS = np.array(
     [
         [0.00, 0.86, 0.10, 0.16],
@@ -54,7 +54,7 @@ _SECTION_POINTS = 15
 
 
 def sea_places(share: np.ndarray) -> np.ndarray:
-    """Distances from the middle of the painted sea, metres, of shares of its reach.
+    """Distances from the middle of the painted sea, metres, for shares of its reach.
 
     Shares of -1 and 1 are its edges. Pixels grow with the distance from the middle.
     """
@@ -63,9 +63,9 @@ def sea_places(share: np.ndarray) -> np.ndarray:
 
 
 def sea_mesh() -> np.ndarray:
-    """Points of the drawn surface seen from its middle, in metres, ``[V, 2]``.
+    """Points of the drawn surface relative to its middle, metres, ``[V, 2]``.
 
-    They lie on rings, which are the wider apart the farther away they are.
+    They lie on rings; the farther away a ring is, the wider is its distance to the next.
     """
     rings = _ring_radii()
     angles = 2.0 * math.pi / _SECTORS * np.arange(_SECTORS)
@@ -91,7 +91,7 @@ def add_surroundings(
     """
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = USUAL_PICTURE
-    # Together with the sun not above 1, where colours would be cut off.
+    # The sum with the sun is at most 1; above that colours would be cut off.
     visual.headlight.ambient = [0.42, 0.42, 0.42]
     visual.headlight.diffuse = [0.06, 0.06, 0.06]
     visual.headlight.specular = [0.0, 0.0, 0.0]
@@ -102,7 +102,7 @@ def add_surroundings(
     visual.map.zfar = 8000.0 / farthest_goal_m
     visual.map.shadowclip = _SHADOW_REACH_M / farthest_goal_m
     visual.map.haze = 0.5
-    # The sky's own colour at the horizon: with another one there is a stripe.
+    # The sky's colour at the horizon: any other colour would give a stripe.
     horizon = 0.5 * (np.array(_ZENITH) + _NADIR)
     visual.rgba.haze = [*horizon, 1.0]
     spec.add_texture(
@@ -155,10 +155,10 @@ def _add_sea(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_geom(
         name="horizon",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        # In large tiles, which are drawn in a third of the time of those of a metre.
+        # Large tiles are drawn in a third of the time of tiles of a metre.
         size=[0.0, 0.0, 500.0],
         material="far_water",
-        # Below the deepest trough near the vessel: the skin hides it there.
+        # Below the deepest trough near the vessel, where the skin hides it.
         pos=[0.0, 0.0, -3.0],
         **VISIBLE_ONLY,
     )
@@ -191,11 +191,11 @@ def _sea_faces(count: int) -> np.ndarray:
 
 
 def add_vessel(spec: mujoco.MjSpec, body: mujoco.MjsBody, hull: Hull) -> None:
-    """Add a catamaran with ducted propellers, a camera behind it, and its sun.
+    """Add a catamaran with ducted propellers, a camera behind it, and the sun.
 
     Args:
         spec: The model.
-        body: Body of the hull; ahead is +x.
+        body: Body of the hull; its bow points to +x.
         hull: Dimensions.
     """
     body.add_camera(
@@ -204,7 +204,7 @@ def add_vessel(spec: mujoco.MjSpec, body: mujoco.MjsBody, hull: Hull) -> None:
         xyaxes=[0.0, -1.0, 0.0, 0.43, 0.0, 0.9],
         mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
     )
-    # It follows the vessel, so that the shadow map need not be large.
+    # The sun follows the vessel, so that the shadow map can be small.
     body.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,

@@ -1,4 +1,4 @@
-"""The MuJoCo model: a rigid body, and everything that only the eye sees."""
+"""The MuJoCo model: a rigid body, and the parts that are only drawn."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def model_xml(
     spec.option.timestep = substep_s
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # A diverged world must stay diverged for the task to see it, not start afresh.
+    # No reset after divergence: the task must find the diverged state.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     add_surroundings(
@@ -36,7 +36,7 @@ def model_xml(
         name="hull",
         mass=hull.mass_kg,
         inertia=hull.inertia,
-        # Both are needed for the inertia to be written to XML.
+        # Both are needed, or the inertia would not be written to XML.
         ipos=[0.0, 0.0, 0.0],
         explicitinertial=True,
     )

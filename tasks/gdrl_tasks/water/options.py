@@ -1,4 +1,4 @@
-"""What the water task can be told. Imports neither MuJoCo nor numba, which cost time."""
+"""Options of the water task. Imports neither MuJoCo nor numba, which take time."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ EXTRA_OBSERVATIONS: dict[str, tuple[int, float, float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class WaterOptions:
-    """Options of the water task; ``None`` means what ``difficulty`` says."""
+    """Options of the water task; ``None`` takes the value that ``difficulty`` has."""
 
     difficulty: Literal["near", "far"] = "near"
     """What goal and sea are unless they are given."""
     goal_distance_m: tuple[float, float] | None = within(
         None, lengths=(2, 2), above=0.0, most=1e4
     )
-    """Range of the goal's distance from the start; its bearing is anything."""
+    """Range of the goal's distance from the start; it may have any bearing."""
     goal_tolerance_m: float | None = within(None, least=1e-3, most=1e4)
     """Distance from the goal that counts as there."""
     sea: Literal["calm", "lake", "rough"] | None = None
@@ -95,11 +95,11 @@ class WaterOptions:
             )
 
     def _check_steepness(self) -> None:
-        """No episode may have a sea that is steeper than the steepest."""
+        """Raise ValueError if an episode could have a sea steeper than the limit."""
         assert self.sea is not None
         height, period = self.significant_wave_height_m, self.peak_period_s
         if height is None and period is None:
-            # Wind and fetch give the two together.
+            # Wind and fetch give height and period together.
             return
         heights, periods = waves.sea_range(self.sea)
         highest = heights[1] if height is None else height

@@ -1,4 +1,4 @@
-"""What only the eye sees, brought up to date: the sea, its foam, the chase camera."""
+"""Updates of what is only drawn: the sea, its foam, the chase camera."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _CHASE_BEHIND_M, _CHASE_HEIGHT_M, _CHASE_AHEAD_M = 3.6, 1.75, 1.9
 _CHASE_OFF_AXIS_RAD = 0.35
 """A goal farther aside than this turns the chase camera, so that it stays in view."""
 _CHASE_NEAR_M = (1.0, 3.0)
-"""Nearer goals than the first do not; from the second on they do."""
+"""Goals nearer than the first distance do not turn it; from the second on they do."""
 
 _HAZE_M = (13.0, 70.0)
-"""Where the sea begins to mirror the sky, and where it does as at the horizon."""
+"""Distances at which the sea begins to mirror the sky, and mirrors it fully."""
 _HAZES = 64
 _LIGHTS = 256
 _LIGHT_RANGE = (-0.5, 0.75)
@@ -70,7 +70,7 @@ def surface_grid(
 
 
 def note_track(physics: Any) -> None:
-    """Remember where the vessel is: it leaves its wake there."""
+    """Remember where the vessel is, because it leaves its wake there."""
     data = physics.data
     if np.isfinite(data.qpos[:7]).all():
         x, y = data.qpos[:2].tolist()
@@ -78,7 +78,7 @@ def note_track(physics: Any) -> None:
 
 
 def draw_sea_surface(physics: Any, arrays: WorldArrays, sea: dict[str, Any]) -> None:
-    """Bring sea, wake, goal and chase camera of a dm_control physics up to date.
+    """Update sea, wake, goal and chase camera of a dm_control physics.
 
     Args:
         physics: Physics of :func:`gdrl_tasks.water.model.model_xml`'s model.
@@ -113,7 +113,7 @@ def draw_sea_surface(physics: Any, arrays: WorldArrays, sea: dict[str, Any]) -> 
 
 
 def _surface(sea: dict[str, np.ndarray], centre: np.ndarray, time_s: float) -> np.ndarray:
-    """Points of the drawn surface, ``[V, 3]``: waves too short for its mesh are not."""
+    """Points of the drawn surface, ``[V, 3]``, without waves too short for its mesh."""
     mesh = _mesh()
     x, y = (centre + mesh).T
     # Points are about a tenth of their distance apart.
@@ -148,7 +148,7 @@ def _palette() -> np.ndarray:
     far = np.linspace(0.0, 1.0, _HAZES)[:, None, None]
     colours = (1.0 - far) * np.stack(near, axis=-1) + far * np.array(FAR_COLOUR)
     opaque = np.concatenate([colours, np.ones((_HAZES, _LIGHTS, 1))], axis=-1)
-    # One number a colour: bytes would be picked four times as slowly.
+    # One number for each colour; picking single bytes would take four times as long.
     return (255.0 * opaque).round().astype(np.uint8).view(np.uint32).ravel()
 
 
@@ -161,14 +161,14 @@ def _paint(
 ) -> np.ndarray:
     """Colours of the surface, bytes ``[N, N, 3]``: the slopes of the waves, and foam.
 
-    A pixel has the mean of what it covers, so that waves fade where pixels grow. The
+    A pixel has the mean of its area, so waves fade where pixels are large. The
     sum over the waves is one product of matrices, as in :func:`surface_grid`.
     """
     places, spacing, haze = _pixels(size)
     x, y = centre[0] + places, centre[1] + places
     wavenumber = np.stack([sea["wavenumber_x"], sea["wavenumber_y"]])
     moving = sea["phase"] - sea["omega"] * time_s
-    # What a wave's slope and height give, as real part of its amplitude times exp(ia).
+    # Light of a wave's slope and height, as real part of its amplitude times exp(ia).
     light = sea["amplitude"] * (_LIGHT_ON_CREST + 1j * (_TOWARDS_SUN @ wavenumber))
     blur = np.exp(-0.5 * (0.6 * wavenumber[:, :, None] * spacing) ** 2)
     columns = np.exp(1j * (np.outer(wavenumber[0], x) + moving[:, None])) * blur[0]
@@ -196,7 +196,7 @@ def _heading(data: Any) -> float:
 
 
 def _place_chase_camera(model: Any, data: Any, goal: np.ndarray) -> None:
-    """Behind and above the hull; a goal aside turns it so far that it is seen.
+    """Put the camera behind and above the hull, turned so far that the goal is in view.
 
     The camera turns with the heading but not with the waves.
     """

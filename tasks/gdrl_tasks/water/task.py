@@ -43,7 +43,7 @@ class WaterTask(NavigationTask):
     def __init__(self, options: WaterOptions | None = None) -> None:
         self.options = options = options or WaterOptions()
         self.hull = make_hull()
-        # Its difficulty has filled in what was not given.
+        # The difficulty has filled in the options that were not given.
         assert options.goal_distance_m is not None
         assert options.goal_tolerance_m is not None
         assert options.sea is not None
@@ -67,7 +67,7 @@ class WaterTask(NavigationTask):
             control_interval_s=options.control_interval_s,
             substep_s=options.substep_s,
             step_limit=options.step_limit,
-            # Above what thrust, waves and current do to it: 3.6 m/s in the highest sea.
+            # Above what thrust, waves and current can cause: 3.6 m/s in the highest sea.
             running_reward_limit=self.progress_weight
             * (FASTEST_M_S + options.current_m_s)
             * options.control_interval_s,
@@ -81,7 +81,7 @@ class WaterTask(NavigationTask):
 
     @property
     def rest_height_m(self) -> float:
-        """Height of the centre of gravity over still water when afloat."""
+        """Height of the centre of gravity above still water when afloat."""
         return -self.hull.points[0, 2] - 0.5 * self.hull.draft_m
 
     def xml(self) -> str:
@@ -102,7 +102,7 @@ class WaterTask(NavigationTask):
         note_track(physics)
 
     def draw_scenery(self, physics: Any, arrays: WorldArrays) -> None:
-        """Bring the drawn sea, the floating goal and the chase camera up to date."""
+        """Update the drawn sea, the floating goal and the chase camera."""
         sea = {name: arrays[name] for name in waves.SEA_FIELDS}
         # The waves travel in the water, and so with the current.
         carried = arrays["current"] * physics.data.time
@@ -152,7 +152,7 @@ class WaterTask(NavigationTask):
         cosine, sine = np.cos(sea["phase"]), np.sin(sea["phase"])
         qpos[2] = self.rest_height_m + np.sum(pushing * sea["decay"] * cosine)
         qpos[3], qpos[6] = math.cos(0.5 * heading), math.sin(0.5 * heading)
-        # At rest in the water, that is, moving with it.
+        # At rest relative to the water, that is, moving with it.
         along = pushing * sea["omega"] / np.hypot(sea["wavenumber_x"], sea["wavenumber_y"])
         qvel[0] = arrays["current"][0] + np.sum(along * sea["wavenumber_x"] * cosine)
         qvel[1] = arrays["current"][1] + np.sum(along * sea["wavenumber_y"] * cosine)

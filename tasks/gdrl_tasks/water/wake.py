@@ -1,4 +1,4 @@
-"""The foam that a vessel leaves behind, for the eye only."""
+"""The foam that a vessel leaves behind, which is only drawn."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SEEN_S = 9.0
 _LONGEST_GAP_S, _FASTEST_M_S = 1.5, 6.0
 _STERN_X_M = -0.6
 _STREAM_M = 0.378
-"""From the middle of the wake to the stream of each propeller."""
+"""Distance from the middle of the wake to the stream of each propeller."""
 _SPACING_M = 0.12
 _FULL_SPEED_M_S = 1.3
 _FADE_S = 3.2
@@ -21,14 +21,14 @@ _NOISE_SIZE, _NOISE_CELL_M = 256, 0.05
 
 @dataclasses.dataclass
 class Track:
-    """Where a vessel was lately: rows of time, x, y (metres) and heading (radians)."""
+    """Recent places of a vessel: rows of time, x, y (metres) and heading (radians)."""
 
     places: list[tuple[float, float, float, float]] = dataclasses.field(
         default_factory=list
     )
 
     def note(self, time_s: float, x: float, y: float, heading: float) -> None:
-        """Add a place; one that could not be reached from the last begins a new track."""
+        """Add a place; if it cannot be reached from the last one, a new track begins."""
         if self.places:
             before, last_x, last_y, last_heading = self.places[-1]
             gap = time_s - before
@@ -47,8 +47,8 @@ def foam(
 ) -> tuple[slice, slice, np.ndarray] | None:
     """Foam over the part of a grid that the wake may cover.
 
-    Two streams of the propellers that widen and fade, and two arms that open from
-    them. The bubbles stay where they are on the water.
+    There are two streams of the propellers, which widen and fade, and two arms that
+    open from them. The bubbles do not move on the water.
 
     Args:
         track: Where the vessel was.
@@ -88,7 +88,7 @@ def foam(
     arm = (aside - 0.5 - 0.3 * far) / (0.07 + 0.03 * far)
     arms = 0.55 * np.exp(-(arm**2)) * np.exp(-far / 2.2)
     cover = strength * (stream + between + arms)
-    # Not ahead of the stern, and not behind the oldest place that is known.
+    # No foam ahead of the stern, and none behind the oldest known place.
     cover *= np.clip(1.0 + (far + 0.05) / 0.1, 0.0, 1.0)
     cover *= np.clip((behind[0] - far) / 0.3, 0.0, 1.0)
     bubbles = _bubbles(grid_x, grid_y)
@@ -115,7 +115,7 @@ def _stern_path(track: Track) -> tuple[np.ndarray, ...] | None:
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     made = (np.diff(at, axis=0) * ahead[1:]).sum(axis=-1) / np.diff(time_s)
     made = np.concatenate([made[:1], made])
-    # Only a vessel that goes ahead leaves its wake behind its stern.
+    # Only a vessel that goes ahead has its wake behind its stern.
     speed = np.clip(made / _FULL_SPEED_M_S, 0.0, 1.0)
     wanted = length[-1] - np.arange(0.0, length[-1], _SPACING_M)[::-1]
     known = np.concatenate([[True], step > 1e-6])

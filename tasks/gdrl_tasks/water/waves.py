@@ -18,16 +18,16 @@ from array_api_compat import array_namespace
 GRAVITY_M_S2 = 9.81
 _PEAK_ENHANCEMENT = 3.3
 _SPECTRUM_GRID = 40_000
-"""So fine that no two of 1,000 components share a step of it."""
+"""So fine that no two of 1,000 components fall into one step."""
 _HIGHEST_RATIO = 12.0
 STEEPEST = 1.0 / 15.0
 """Largest significant height over the wavelength of the peak. Severe seas have 1/20 to 1/16
-(API RP 2MET, definition of wave steepness); chosen a little above, and safely below what
-breaks: a regular wave does at 1/7 (Michell 1893)."""
+(API RP 2MET, definition of wave steepness). Chosen a little above that, and safely below
+breaking: a regular wave breaks at 1/7 (Michell 1893)."""
 LEAST_RESOLVED = 0.75
 """Least share of a sea's energy in waves that the hull points resolve."""
 SHORTEST_PERIOD_S = 0.62
-"""Shortest peak period of which they do."""
+"""Shortest peak period of a sea with that share."""
 LONGEST_PERIOD_S = 30.0
 """Longest peak period: longer waves are not made by wind (Munk 1950)."""
 SEA_FIELDS = ("amplitude", "wavenumber_x", "wavenumber_y", "omega", "phase", "decay")
@@ -67,7 +67,7 @@ def fetch_limited_sea(wind_m_s: float, fetch_m: float) -> tuple[float, float]:
 def sea_range(name: str) -> tuple[tuple[float, float], tuple[float, float]]:
     """Least and most significant height (m) and peak period (s) of a sea's episodes.
 
-    A calm sea has no height; its period, of no account without one, is 1 s.
+    A calm sea has no height; its period is 1 s, which then has no effect.
 
     Examples:
         >>> (low, high), (short, long) = sea_range("lake")
@@ -123,11 +123,12 @@ def jonswap(omega: Any, height_m: float, period_s: float) -> Any:
 
 @functools.cache
 def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the unit spectrum up to a frequency: what its cut-off there takes and asks for.
+    """Moments of the unit spectrum up to a frequency, and the scaling that a cut-off needs.
 
     Returns:
         Frequency ratios w/wp; the running moments m0 and m-1; and the ratio to which the
-        highest frequency rises when all are scaled so that m-1/m0 is that of the whole.
+        highest frequency rises if all frequencies are scaled so that m-1/m0 is that of
+        the whole spectrum.
     """
     ratio = np.linspace(0.3, _HIGHEST_RATIO, _SPECTRUM_GRID)
     density = jonswap(ratio, 1.0, 2.0 * math.pi)
@@ -139,7 +140,7 @@ def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
     zeroth, minus_first = running(density), running(density / ratio)
     whole = minus_first[-1] / zeroth[-1]
-    # Below the first step there is no energy to take a mean of.
+    # Below the first step there is no energy, and so no mean.
     mean = np.divide(minus_first, zeroth, out=1.0 / ratio, where=zeroth > 0.0)
     return ratio, zeroth, minus_first, ratio * mean / whole
 
@@ -163,11 +164,11 @@ def draw_sea(
     """Draw one episode's wave components.
 
     The spectrum up to a cut-off is split into bins of equal energy; each bin becomes one
-    component at the frequency that keeps the bin's m-1. Energy beyond the cut-off (waves
-    the hull points cannot resolve) is spread over the components by scaling their heights,
-    and their frequencies are scaled so that height and energy period of the sum stay those
-    of the whole spectrum. The cut-off is where its frequency, so scaled, is that of the
-    shortest wave: no component is shorter, and no two are alike.
+    component at the frequency that keeps the bin's m-1. Beyond the cut-off are waves that
+    the hull points cannot resolve. Their energy is spread over the components by scaling
+    heights, and frequencies are scaled too, so that height and energy period of the sum
+    are those of the whole spectrum. The cut-off frequency, scaled in this way, is that of
+    the shortest wave, so no component is shorter, and no two are alike.
 
     Args:
         generator: Source of the directions and phases.
@@ -199,9 +200,9 @@ def draw_sea(
     edges = np.interp(np.linspace(0.0, total, num_components + 1), zeroth, ratio)
     below = np.interp(edges, ratio, minus_first)
     omega = peak * (total / num_components) / np.diff(below)
-    # Waves cut off would have shortened the energy period: shorten the others instead.
+    # The waves that are cut off would shorten the energy period; shorten the rest instead.
     omega *= (below[-1] / total) / (minus_first[-1] / zeroth[-1])
-    # cos^2 spreading on each side of the mean direction, by its inverse distribution.
+    # cos^2 spreading on each side of the mean direction, by the inverse distribution.
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 181)
     share = 0.5 + (angle + 0.5 * np.sin(2.0 * angle)) / math.pi
     direction = direction_rad + np.interp(generator.random(num_components), share, angle)
@@ -250,14 +251,15 @@ def elevation(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
 def orbital_velocity(sea: dict[str, Any], x: Any, y: Any, z: Any, time_s: Any) -> Any:
     """Water velocity below the surface, by linear theory with Wheeler stretching.
 
-    Wheeler (1970) keeps the profile hung from the instantaneous surface: in deep water
-    the decay is exp(k (z - elevation)).
+    Wheeler (1970) measures depth from the instantaneous surface: in deep water the decay
+    is exp(k (z - elevation)).
 
     Args:
         sea: Component arrays ``[W, C]``.
         x: World x of the points, metres, ``[W, K]``.
         y: World y of the points, metres, ``[W, K]``.
-        z: World z of the points, metres, ``[W, K]``; above the surface counts as at it.
+        z: World z of the points, metres, ``[W, K]``; points above the surface count as
+            at the surface.
         time_s: Times, seconds, ``[W]``.
 
     Returns:
