@@ -35,7 +35,7 @@ def make_env(
             that many dm_control environments in this process, one after another.
         num_threads: Simulation threads of the ``batch`` backend; 0 takes one per
             allowed processor.
-        seed: Seed of the episodes; None takes another one every time.
+        seed: Seed of the episodes; None takes a different one every time.
         on_divergence: See :data:`OnDivergence`.
 
     Raises:

@@ -52,7 +52,7 @@ class BatchSimulation:
         num_worlds: Number of worlds ``W``.
         num_threads: Threads of the simulation; 0 takes one per allowed processor.
         seed: Seed of the episodes that :meth:`reset` draws when it is given none; None
-            takes another one every time.
+            takes a different one every time.
 
     Attributes:
         arrays: The task's arrays of all worlds, by name (goal, steps, outcome, ...).
