@@ -155,8 +155,8 @@ def simulate(
         name: One of :func:`task_names`.
         num_worlds: Number of worlds.
         num_threads: Threads; 0 takes one per allowed processor.
-        seed: Seed of the episodes drawn by ``reset()``; None takes a different one every time
-            (it is the ``seed`` of what is returned).
+        seed: Seed of the episodes drawn by ``reset()``; None takes a different one
+            every time (it is the ``seed`` of what is returned).
         **options: Options of the task.
     """
     from gdrl_tasks.batch import BatchSimulation
