@@ -27,12 +27,12 @@ from mujoco.batch import Batch
 
 from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.config.algorithms import RainbowConfig
+from gdrl_torchrl.agents.base import Agent
+from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.registry import algorithm_of
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.training.agent import Agent
-from gdrl_torchrl.training.build import algorithm_of
-from gdrl_torchrl.training.checkpoint import seed_everything
+from gdrl_torchrl.runs.checkpoint import seed_everything
 
 EXPERIMENTS = {"indoor": "grainbow_indoor", "water": "gppo_water"}
 BARS = {("indoor", 16): 0.25, ("indoor", 64): 0.5}

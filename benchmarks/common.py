@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gdrl_tasks.processors import allowed_processors
-from gdrl_torchrl.analysis.run_table import find_runs
+from gdrl_torchrl.files.run_table import find_runs
 
 
 def measure(*runs: Callable[[], int], repeats: int) -> list[list[float]]:

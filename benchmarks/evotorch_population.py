@@ -40,7 +40,7 @@ from benchmarks.common import finish, measure, ratio, show
 from benchmarks.population_throughput import EPISODES, MEMBERS, make_population
 from gdrl_tasks import Outcome, make_task, task_names
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 ACTORS = 2
 BARS = {"indoor": 2.0, "water": 3.0}

@@ -35,8 +35,8 @@ from benchmarks.common import finish, measure, ratio
 from benchmarks.population_throughput import make_population
 from gdrl_tasks import make_task
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import concatenate
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import concatenate
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 THREADS = (1, 2)
 MANY_WORLDS = 4096

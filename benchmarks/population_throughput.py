@@ -34,14 +34,16 @@ from torchrl.envs.utils import step_mdp
 
 from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import load, make_task, task_names
-from gdrl_torchrl.config.algorithms import PPOConfig, RainbowConfig
-from gdrl_torchrl.config.schema import ExperimentConfig, NetworkConfig
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.registry import make_actor
+from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies
-from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.training.build import make_actor
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import genome_of, install, stack_copies
+from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 MEMBERS = 11
 EPISODES = 20

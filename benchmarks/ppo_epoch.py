@@ -24,11 +24,12 @@ from tensordict import TensorDictBase
 from benchmarks.common import finish, measure, ratio, show
 from benchmarks.plain_ppo import PPO, Collected, Networks, before_tanh
 from gdrl_tasks import make_task
-from gdrl_torchrl.config.algorithms import PPOConfig
-from gdrl_torchrl.config.schema import ExperimentConfig, NetworkConfig
+from gdrl_torchrl.agents.base import Agent
+from gdrl_torchrl.agents.ppo.agent import make_ppo_agent
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.training.agent import Agent
-from gdrl_torchrl.training.ppo import make_ppo_agent
 
 TOLERANCE = 1e-5
 """Largest difference, relative to the largest entry, that counts as rounding."""

@@ -31,15 +31,16 @@ from torchrl.objectives import DistributionalDQNLoss, SoftUpdate
 from benchmarks.common import finish, measure, ratio, show
 from benchmarks.plain_rainbow import DuelingNetwork, Rainbow, Replay
 from gdrl_tasks import make_task
-from gdrl_torchrl.config.algorithms import RainbowConfig
-from gdrl_torchrl.config.schema import ExperimentConfig, NetworkConfig
-from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.objectives.rainbow import resample_noise
-from gdrl_torchrl.training.rainbow import (
+from gdrl_torchrl.agents.rainbow.agent import (
     RainbowLearner,
     make_rainbow_actor,
     make_rainbow_agent,
 )
+from gdrl_torchrl.agents.rainbow.loss import resample_noise
+from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.config.task import task_config_class
 
 WIDTH = 64
 TRANSITIONS = 20_000

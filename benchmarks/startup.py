@@ -32,7 +32,7 @@ HELP_BAR_S = 3.0
 RESUME_BAR_S = 8.0
 EXPERIMENTS = {"grainbow_indoor": 16, "gppo_water": 2}
 """Rows to make before the signal: Rainbow's first updates come after 2,000 steps."""
-MODULES = ("gdrl_torchrl.cli.train", "gdrl_torchrl.training.run")
+MODULES = ("gdrl_torchrl.cli.train", "gdrl_torchrl.runs.run")
 """What answers ``--help``, and what a run imports as well."""
 _MOST_SECONDS = 120.0
 

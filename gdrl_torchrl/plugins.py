@@ -1,7 +1,7 @@
 """What other packages add: operators, algorithms and configurations, by entry point.
 
 Groups: ``gdrl.mutations`` and ``gdrl.crossovers`` (functions), ``gdrl.algorithms``
-(:class:`~gdrl_torchrl.training.agent.Algorithm`), ``gdrl.conf`` (packages of yaml files,
+(:class:`~gdrl_torchrl.agents.base.Algorithm`), ``gdrl.conf`` (packages of yaml files,
 laid out like ours); tasks are in ``gdrl.tasks``, see :mod:`gdrl_tasks.registry`.
 """
 

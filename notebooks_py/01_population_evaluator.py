@@ -11,12 +11,17 @@ import os
 import torch
 
 from gdrl_tasks import make_task
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
-from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.evolution.selection import select_best
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import (
+    concatenate,
+    genome_of,
+    install,
+    stack_copies,
+)
+from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
+from gdrl_torchrl.evolution.operators.selection import select_best
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 smoke = os.environ.get("GDRL_SMOKE") == "1"
 children, episodes = (2, 2) if smoke else (10, 10)

@@ -37,10 +37,10 @@ from torchrl.modules import (
 from torchrl.objectives import SACLoss, SoftUpdate
 from torchrl.trainers.algorithms import SACTrainer
 
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.evolution.schedule import MutationSchedule
-from gdrl_torchrl.training.genetic import GeneticHook
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 FRAMES = int(os.environ.get("GDRL_FRAMES", 6_000))
 EPISODE_STEPS = 100

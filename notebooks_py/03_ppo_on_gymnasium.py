@@ -25,10 +25,10 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
 
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.evolution.schedule import MutationSchedule
-from gdrl_torchrl.training.genetic import GeneticHook
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 FRAMES = int(os.environ.get("GDRL_FRAMES", 10_000))
 logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer

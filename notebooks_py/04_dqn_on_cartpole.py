@@ -19,10 +19,10 @@ from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate
 from torchrl.trainers.algorithms import DQNTrainer
 
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.evolution.schedule import MutationSchedule
-from gdrl_torchrl.training.genetic import GeneticHook
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 FRAMES = int(os.environ.get("GDRL_FRAMES", 10_000))
 logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer

@@ -20,11 +20,11 @@ from torchrl.modules import (
 from torchrl.modules.models.models import DuelingMlpDQNet
 
 from gdrl_tasks import make_task
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.config.evolution import ErlConfig
-from gdrl_torchrl.evolution.genome import concatenate, genome_of, stack_copies
-from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
+from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
+from gdrl_torchrl.evolution.settings import ErlConfig
 
 CONTINUOUS = ("deterministic", "sequential", "tanh_normal")
 DISCRETE = ("q_value", "distributional")

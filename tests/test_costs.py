@@ -14,13 +14,14 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import make_task, simulate
-from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.agents.registry import make_actor
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.modules.population_actor import PopulationActor
-from gdrl_torchrl.training.build import build_training, make_actor
-from gdrl_torchrl.training.checkpoint import seed_everything
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.population.actor import PopulationActor
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.runs.build import build_training
+from gdrl_torchrl.runs.checkpoint import seed_everything
 
 EXPERIMENTS = {"indoor": "grainbow_indoor", "water": "gppo_water"}
 

@@ -9,14 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.analysis.fields import OBJECT, TEXT, read_object
-from gdrl_torchrl.cli.arguments import CommandParser, fail
-from gdrl_torchrl.cli.compose import check_plain, merge_task
+from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
+from gdrl_torchrl.cli.shared.compose import check_plain, merge_task
 from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.checks import check_choice
 from gdrl_torchrl.config.options import nearest, wrong_type
-from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig, NetworkConfig
+from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
+from gdrl_torchrl.files.fields import OBJECT, TEXT, read_object
 
 _OPTIONS = [
     ("run=<run directory>", "The run whose final policy is evaluated."),
@@ -94,8 +95,9 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
                 f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
             )
     # torch takes seconds to import: what is wrong is said before.
-    from gdrl_torchrl.training.build import make_actor
-    from gdrl_torchrl.training.evaluate import evaluate_policy, load_policy, params_sha256
+    from gdrl_torchrl.agents.registry import make_actor
+    from gdrl_torchrl.files.policy import load_policy, params_sha256
+    from gdrl_torchrl.runs.evaluate import evaluate_policy
 
     with _named(path):
         actor = make_actor(task, config)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from gdrl_torchrl.cli.show_arguments import Arguments, number_in
+from gdrl_torchrl.cli.shared.show_arguments import Arguments, number_in
 
 _FPS = 25
 _ARGUMENTS = Arguments(
@@ -44,12 +44,12 @@ def play_run(values: dict[str, str], overrides: Sequence[str]) -> None:
         raise ValueError(f"camera={camera} must be one of {', '.join(_CAMERAS)}")
     _check_screen(values["run"])
     # These take seconds to import: arguments are checked before.
-    from gdrl_torchrl.cli.saved_policy import SavedPolicy
+    from gdrl_torchrl.cli.shared.saved_policy import SavedPolicy
 
     policy = SavedPolicy.of(values["run"], overrides)
-    from gdrl_torchrl.training.frames import Film, replayed_moments
-    from gdrl_torchrl.training.gl_backend import find_gl_backend
-    from gdrl_torchrl.training.video import record_trajectories
+    from gdrl_torchrl.pictures.film.episodes import record_trajectories
+    from gdrl_torchrl.pictures.film.frames import Film, replayed_moments
+    from gdrl_torchrl.pictures.film.gl_backend import find_gl_backend
 
     # What paints the sea asks for one, beside the window.
     backend, _ = find_gl_backend()
@@ -79,7 +79,7 @@ class _Window:
         import mujoco
         from mujoco.viewer import launch_passive
 
-        from gdrl_tasks.scenery import PAINTED
+        from gdrl_tasks.engines.scenery import PAINTED
 
         model, data = physics.model.ptr, physics.data.ptr
         self._painted = [

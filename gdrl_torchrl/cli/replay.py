@@ -10,8 +10,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.cli.arguments import CommandParser, fail
-from gdrl_torchrl.cli.compose import merge_task
+from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
+from gdrl_torchrl.cli.shared.compose import merge_task
 from gdrl_torchrl.config.checks import check_choice
 
 _PARSER = CommandParser(
@@ -58,7 +58,7 @@ def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
     # torch takes seconds to import: arguments are checked before.
     if not path.is_file():
         raise ValueError(f"{path} must be a file of the folder faults/ of a run")
-    from gdrl_torchrl.training.state_file import read_state
+    from gdrl_torchrl.files.state import read_state
 
     try:
         content = read_state(path)
@@ -75,7 +75,7 @@ def replay(path: Path, overrides: list[str]) -> dict[str, Any]:
 
 def _replay_world(content: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
     from gdrl_tasks import Outcome
-    from gdrl_tasks.divergence import repeat_step
+    from gdrl_tasks.engines.replay import repeat_step
     from gdrl_torchrl.config.task import make_task_from_config
 
     task = make_task_from_config(merge_task(content["task"], overrides))
@@ -98,7 +98,7 @@ def _replay_world(content: dict[str, Any], overrides: list[str]) -> dict[str, An
 
 
 def _replay_update(content: dict[str, Any], overrides: list[str]) -> dict[str, Any]:
-    from gdrl_torchrl.training.faults import non_finite_entries
+    from gdrl_torchrl.files.faults import non_finite_entries
 
     if overrides:
         raise ValueError(f"task.{overrides[0]}: an update has no task to change")

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.analysis.run_table import (
+from gdrl_torchrl.cli.shared.arguments import CommandParser, fail, one_line
+from gdrl_torchrl.files.run_table import (
     STATES,
     find_runs,
     format_table,
@@ -15,7 +16,6 @@ from gdrl_torchrl.analysis.run_table import (
     select_runs,
     values_of,
 )
-from gdrl_torchrl.cli.arguments import CommandParser, fail, one_line
 
 _OPTIONS = [
     ("<folder>", "All runs below it are listed; damaged ones are named below the table."),
@@ -48,7 +48,7 @@ def list_runs(arguments: list[str]) -> str:
 
 
 def rows_of(arguments: list[str]) -> list[dict[str, Any]]:
-    """The rows of the table, see :func:`~gdrl_torchrl.analysis.run_table.run_row`.
+    """The rows of the table, see :func:`~gdrl_torchrl.files.run_table.run_row`.
 
     Raises:
         ValueError: If there is no such folder, or an argument is not one.

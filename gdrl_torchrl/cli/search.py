@@ -23,15 +23,15 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override, Transformer
 from omegaconf import OmegaConf
 
-from gdrl_torchrl.analysis.fields import RATE, read_object
-from gdrl_torchrl.cli.arguments import CommandParser, fail
-from gdrl_torchrl.cli.compose import EXIT_SAVED, composed, load_experiment
-from gdrl_torchrl.cli.errors import check_known, explained, not_among
-from gdrl_torchrl.cli.names import names_in, sentence_of
+from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
+from gdrl_torchrl.cli.shared.compose import EXIT_SAVED, composed, load_experiment
+from gdrl_torchrl.cli.shared.errors import check_known, explained, not_among
+from gdrl_torchrl.cli.shared.names import names_in, sentence_of
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
-from gdrl_torchrl.safe_files import locked, open_own
+from gdrl_torchrl.files.fields import RATE, read_object
+from gdrl_torchrl.files.safe_files import locked, open_own
 
 _logger = logging.getLogger(__name__)
 _DESCRIPTION = (
@@ -200,7 +200,7 @@ class Search:
 
     def _trained(self, chosen: list[str], seed: int, budget: int) -> Path:
         """A run of a trial; what its settings are to blame for becomes one error."""
-        from gdrl_torchrl.training.run import TrainingDivergedError
+        from gdrl_torchrl.runs.run import TrainingDivergedError
 
         overrides = self._overrides(chosen, seed, budget)
         try:
@@ -352,9 +352,9 @@ def main() -> None:
     from optuna.exceptions import OptunaError
     from sqlalchemy.exc import SQLAlchemyError
 
-    from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
-    from gdrl_torchrl.training.run_directory import RunDirectoryError
-    from gdrl_torchrl.training.worker import WorkerDiedError
+    from gdrl_torchrl.agents.collectors.worker import WorkerDiedError
+    from gdrl_torchrl.files.errors import RunDirectoryError
+    from gdrl_torchrl.runs.run import InterruptedRunError, run_experiment
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:

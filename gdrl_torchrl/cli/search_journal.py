@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 from optuna.storages.journal import JournalFileBackend, JournalFileSymlinkLock
 
-from gdrl_torchrl.safe_files import open_own
+from gdrl_torchrl.files.safe_files import open_own
 
 _logger = logging.getLogger(__name__)
 

@@ -20,24 +20,24 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from gdrl_torchrl.analysis.run_files import read_evaluation
 from gdrl_torchrl.cli import sweep
-from gdrl_torchrl.cli.arguments import fail, one_line
-from gdrl_torchrl.cli.compose import (
+from gdrl_torchrl.cli.shared.arguments import fail, one_line
+from gdrl_torchrl.cli.shared.compose import (
     EXIT_SAVED,
     register_configs,
     search_path,
     to_experiment,
 )
-from gdrl_torchrl.cli.errors import (
+from gdrl_torchrl.cli.shared.errors import (
     check_known_to_hydra,
     explained,
     wants_traceback,
 )
-from gdrl_torchrl.cli.names import CONFIG_MODULE, names_in
+from gdrl_torchrl.cli.shared.names import CONFIG_MODULE, names_in
 from gdrl_torchrl.config.options import owner_of
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.training.run_directory import RunDirectoryError, RunInUseError
+from gdrl_torchrl.files.errors import RunDirectoryError, RunInUseError
+from gdrl_torchrl.files.evaluation import read_evaluation
 
 _OPTIONS_OF_HYDRA = (
     "--cfg",
@@ -110,12 +110,12 @@ def _run_job(
         # With hydra.job.chdir, which must not lead runs elsewhere.
         runs_dir = str(started_in / experiment.runs_dir)
         experiment = dataclasses.replace(experiment, runs_dir=runs_dir)
-    from gdrl_torchrl.training.run import (
+    from gdrl_torchrl.agents.collectors.worker import WorkerDiedError
+    from gdrl_torchrl.runs.run import (
         InterruptedRunError,
         TrainingDivergedError,
         run_experiment,
     )
-    from gdrl_torchrl.training.worker import WorkerDiedError
 
     # TorchRL reports on standard output, which is ours. Only now: importing it sets a
     # level of its own.
@@ -141,7 +141,7 @@ def main() -> None:
     arguments = sys.argv[1:]
     if {"-h", "--help"} & set(arguments):
         # Not Hydra's, which lists names without meanings; its own is --hydra-help.
-        from gdrl_torchrl.cli.help import help_of_training
+        from gdrl_torchrl.cli.shared.help import help_of_training
 
         print(help_of_training(arguments), end="")
         return

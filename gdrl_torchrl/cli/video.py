@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.cli.show_arguments import Arguments, number_in
+from gdrl_torchrl.cli.shared.show_arguments import Arguments, number_in
 
 _FPS = 25
 _ARGUMENTS = Arguments(
@@ -47,10 +47,10 @@ def film_run(values: dict[str, str], overrides: Sequence[str]) -> Path:
     # These take seconds to import: arguments are checked before.
     from tqdm import tqdm
 
-    from gdrl_torchrl.cli.saved_policy import SavedPolicy
+    from gdrl_torchrl.cli.shared.saved_policy import SavedPolicy
 
     policy = SavedPolicy.of(values["run"], overrides)
-    from gdrl_torchrl.training.video import write_video
+    from gdrl_torchrl.pictures.film.video import write_video
 
     act = policy.load()
     with tqdm(unit="frame", file=sys.stderr, dynamic_ncols=True, leave=False) as bar:

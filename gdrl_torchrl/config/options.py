@@ -11,9 +11,9 @@ from typing import Any
 from gdrl_tasks import task_names
 from gdrl_tasks.checks import described
 from gdrl_torchrl.config.algorithms import algorithm_configs
-from gdrl_torchrl.config.evolution import EVOLUTIONS
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
+from gdrl_torchrl.evolution.settings import EVOLUTIONS
 
 _FACTORS = {"": 1, "k": 10**3, "m": 10**6}
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from gdrl_torchrl.analysis.run_files import algorithm_label
+from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.config.checks import (
     MOST_EPISODES,
     MOST_SEED,
@@ -18,38 +18,10 @@ from gdrl_torchrl.config.checks import (
     among,
     check_fields,
     check_folder,
-    check_weights,
-    limits,
     within,
 )
-from gdrl_torchrl.config.evolution import EvolutionConfig
-
-_WIDTHS = limits(lengths=(1, 16), least=1, most=16_384)
-
-
-@dataclasses.dataclass
-class NetworkConfig:
-    """Networks of the agent."""
-
-    actor_cells: list[int] = dataclasses.field(
-        default_factory=lambda: [32, 32], metadata=_WIDTHS
-    )
-    """Widths of the policy's hidden layers."""
-    critic_cells: list[int] = dataclasses.field(
-        default_factory=lambda: [64, 64], metadata=_WIDTHS
-    )
-    """Widths of the critic's hidden layers, where there is one."""
-    critic_sees_time: bool = True
-    """Whether the critic reads the time left, which the policy does not see."""
-    activation: str = among("tanh", ("tanh", "relu"))
-    """Between hidden layers."""
-    initial_std: float = within(1.0, least=1e-4, most=100.0)
-    """Of the policy before squashing, for continuous actions."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, "network")
-        for name in ("actor_cells", "critic_cells"):
-            check_weights(f"network.{name}", getattr(self, name))
+from gdrl_torchrl.evolution.settings import EvolutionConfig
+from gdrl_torchrl.labels import algorithm_label
 
 
 @dataclasses.dataclass

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from gdrl_torchrl.config.algorithms import GAConfig, PPOConfig, RainbowConfig
-from gdrl_torchrl.config.evolution import ErlConfig, EvolutionConfig
+from gdrl_torchrl.agents.ga.settings import GAConfig
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
+from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
 
 _SIZES: dict[type, dict[str, Any]] = {
     PPOConfig: {"frames_per_batch": 512, "num_epochs": 2},

@@ -11,7 +11,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import DMControlWrapper
 
 from gdrl_tasks import NavigationTask, Outcome
-from gdrl_tasks.dm_env import make_environment
+from gdrl_tasks.engines.dm_env import make_environment
 from gdrl_tasks.task import check_running
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.navigation import action_spec, flag_spec

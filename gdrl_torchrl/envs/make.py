@@ -9,7 +9,7 @@ from typing import Literal
 from torchrl.envs import EnvBase, SerialEnv
 
 from gdrl_tasks import NavigationTask
-from gdrl_tasks.divergence import DivergedWorld
+from gdrl_tasks.engines.divergence import DivergedWorld
 from gdrl_torchrl.envs.navigation import NavigationEnv
 
 Backend = Literal["batch", "dm_control"]

@@ -20,13 +20,13 @@ from gdrl_tasks.registry import (
 from gdrl_tasks.seeds import Stream, episode_seeds
 
 if TYPE_CHECKING:
-    from gdrl_tasks.batch import BatchSimulation, StepResult
+    from gdrl_tasks.engines.batch import BatchSimulation, StepResult
     from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
 
 # Modules that import MuJoCo and numba, which take half a second, are imported on use.
 _LAZY = {
-    "BatchSimulation": "gdrl_tasks.batch",
-    "StepResult": "gdrl_tasks.batch",
+    "BatchSimulation": "gdrl_tasks.engines.batch",
+    "StepResult": "gdrl_tasks.engines.batch",
     "Episode": "gdrl_tasks.task",
     "NavigationTask": "gdrl_tasks.task",
     "TaskSpec": "gdrl_tasks.task",

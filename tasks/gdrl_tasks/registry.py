@@ -17,7 +17,7 @@ from gdrl_tasks.water.options import WaterOptions
 if TYPE_CHECKING:
     from dm_control.rl import control
 
-    from gdrl_tasks.batch import BatchSimulation
+    from gdrl_tasks.engines.batch import BatchSimulation
     from gdrl_tasks.task import NavigationTask
 
 ENTRY_POINT_GROUP = "gdrl.tasks"
@@ -132,7 +132,7 @@ def load(
         ['goal_bearing', 'goal_distance', 'pitch']
     """
     # Imported here because dm_control takes a second to import.
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     return make_environment(
         make_task(name, **options),
@@ -159,7 +159,7 @@ def simulate(
             every time (it is the ``seed`` of what is returned).
         **options: Options of the task.
     """
-    from gdrl_tasks.batch import BatchSimulation
+    from gdrl_tasks.engines.batch import BatchSimulation
 
     task = make_task(name, **options)
     return BatchSimulation(task, num_worlds, num_threads=num_threads, seed=seed)

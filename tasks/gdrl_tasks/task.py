@@ -1,8 +1,8 @@
 """The base of tasks: a model, per-world arrays and pure steps over them.
 
 A :class:`NavigationTask` is written once and runs on two engines: many worlds on
-``mujoco.batch`` (:mod:`gdrl_tasks.batch`) and one world in dm_control
-(:mod:`gdrl_tasks.dm_env`). Both keep the same arrays, with a leading world axis ``W``,
+``mujoco.batch`` (:mod:`gdrl_tasks.engines.batch`) and one world in dm_control
+(:mod:`gdrl_tasks.engines.dm_env`). Both keep the same arrays, with a leading world axis ``W``,
 and call the same methods.
 """
 
@@ -201,7 +201,7 @@ class NavigationTask(abc.ABC):
         """The model that batches step and that is never drawn: here the whole one.
 
         Tasks whose scenery costs the engine time may leave it out, see
-        :func:`~gdrl_tasks.scenery.without_scenery`.
+        :func:`~gdrl_tasks.engines.scenery.without_scenery`.
         """
         return mujoco.MjModel.from_xml_string(self.xml())
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gdrl_torchrl.analysis.figures import draw_learning_curve
-from gdrl_torchrl.analysis.learning_curve import (
+from gdrl_torchrl.files.evaluation import read_evaluation
+from gdrl_torchrl.files.metrics import read_metrics
+from gdrl_torchrl.pictures.figures import draw_learning_curve
+from gdrl_torchrl.pictures.learning_curve import (
     evaluation_rows,
     make_learning_curve,
     wilson_interval,
 )
-from gdrl_torchrl.analysis.run_files import read_evaluation, read_metrics
 
 
 def _is_picture(path: Path) -> bool:

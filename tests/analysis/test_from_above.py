@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from gdrl_torchrl.analysis import style
-from gdrl_torchrl.analysis.captions import Captions, caption_height
-from gdrl_torchrl.analysis.from_above import FromAbove
-from gdrl_torchrl.analysis.layout import Layout
+from gdrl_torchrl.pictures import style
+from gdrl_torchrl.pictures.captions import Captions, caption_height
+from gdrl_torchrl.pictures.from_above import FromAbove
+from gdrl_torchrl.pictures.layout import Layout
 
 AROUND = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 LAYOUT = Layout(

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gdrl_torchrl.analysis.run_files import (
-    read_evaluation,
-    read_metrics,
-    read_trajectories,
-)
+from gdrl_torchrl.files.evaluation import read_evaluation
+from gdrl_torchrl.files.metrics import read_metrics
+from gdrl_torchrl.files.trajectories import read_trajectories
 
 
 def test_blank_cells_become_nan(run_dir: Path) -> None:

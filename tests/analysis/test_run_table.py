@@ -8,14 +8,14 @@ import shutil
 
 import pytest
 
-from gdrl_torchrl.analysis.run_table import (
+from gdrl_torchrl.cli.runs import list_runs, main
+from gdrl_torchrl.files.run_table import (
     find_runs,
     format_table,
     run_row,
     select_runs,
     state_of,
 )
-from gdrl_torchrl.cli.runs import list_runs, main
 
 METRICS = "agent_steps,total_steps,success_rate,wall_s\n40,60,0.25,1.5\n80,120,,3.0\n"
 

@@ -15,10 +15,10 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import BboxBase
 from PIL import Image
 
-from gdrl_torchrl.analysis import style
-from gdrl_torchrl.analysis.figures import draw_trajectories
-from gdrl_torchrl.analysis.layout import Layout, posed
-from gdrl_torchrl.analysis.trajectories import make_trajectories, view_reach
+from gdrl_torchrl.pictures import style
+from gdrl_torchrl.pictures.figures import draw_trajectories
+from gdrl_torchrl.pictures.layout import Layout, posed
+from gdrl_torchrl.pictures.trajectories import make_trajectories, view_reach
 
 
 @pytest.mark.parametrize("recorded", ["trajectories", "arena_trajectories"])

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from gdrl_torchrl.analysis.run_table import find_runs
 from gdrl_torchrl.cli.evaluate import evaluate_run
+from gdrl_torchrl.files.run_table import find_runs
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 OVERRIDES = (

@@ -9,8 +9,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.version import getbase
 
-from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.cli.search import load_search
+from gdrl_torchrl.cli.shared.compose import load_experiment
 
 
 @pytest.fixture

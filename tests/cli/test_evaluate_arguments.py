@@ -8,11 +8,11 @@ import json
 import pytest
 import torch
 
-from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.cli.evaluate import evaluate_run
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.task import make_task_from_config
-from gdrl_torchrl.training.build import make_actor
-from gdrl_torchrl.training.evaluate import save_policy
+from gdrl_torchrl.files.policy import save_policy
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from gdrl_tasks import task_names, task_options
-from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.algorithms import ALGORITHMS
-from gdrl_torchrl.config.evolution import CROSSOVERS, EVOLUTIONS, MUTATIONS, TIE_RULES
 from gdrl_torchrl.config.options import section_classes
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
-from gdrl_torchrl.evolution import crossover, mutation, selection
+from gdrl_torchrl.evolution.operators import crossover, mutation, selection
+from gdrl_torchrl.evolution.settings import CROSSOVERS, EVOLUTIONS, MUTATIONS, TIE_RULES
 
 ROOT = Path(__file__).parents[2]
 RUN = """

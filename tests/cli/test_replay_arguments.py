@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gdrl_torchrl.cli.replay import replay
-from gdrl_torchrl.training.state_file import write_state
+from gdrl_torchrl.files.state import write_state
 
 WORLD = {"kind": "diverged_world", "task": {"name": "water"}, "before": {}, "action": None}
 

@@ -16,15 +16,16 @@ from pathlib import Path
 
 import pytest
 
+from gdrl_torchrl.agents.collectors.worker import WorkerDiedError
+from gdrl_torchrl.agents.update import NonFiniteUpdateError
 from gdrl_torchrl.cli import search_journal
-from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.cli.search import Search, load_search, search_table
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.search import SearchConfig
-from gdrl_torchrl.safe_files import UnreadableFileError
-from gdrl_torchrl.training.run import InterruptedRunError, TrainingDivergedError
-from gdrl_torchrl.training.run_directory import RunDirectory, RunDirectoryError
-from gdrl_torchrl.training.update import NonFiniteUpdateError
-from gdrl_torchrl.training.worker import WorkerDiedError
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.safe_files import UnreadableFileError
+from gdrl_torchrl.runs.run import InterruptedRunError, TrainingDivergedError
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 SEARCHES = sorted(

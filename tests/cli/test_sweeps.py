@@ -16,10 +16,10 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from gdrl_torchrl.analysis.run_table import find_runs, run_row
-from gdrl_torchrl.cli.compose import CONFIG_MODULE, load_experiment, register_configs
+from gdrl_torchrl.cli.shared.compose import CONFIG_MODULE, load_experiment, register_configs
 from gdrl_torchrl.cli.train import check_launcher
-from gdrl_torchrl.training.run_directory import RunDirectory
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.run_table import find_runs, run_row
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 CONF = resources.files("gdrl_torchrl.conf")

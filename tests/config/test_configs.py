@@ -10,16 +10,16 @@ import pytest
 from hydra.errors import HydraException
 
 from gdrl_tasks import make_task, task_names
-from gdrl_torchrl.cli.compose import load_experiment, merge_task
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.cli.shared.compose import load_experiment, merge_task
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.algorithms import ALGORITHMS
-from gdrl_torchrl.config.evolution import EvolutionConfig
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
-from gdrl_torchrl.evolution.schedule import MutationSchedule
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
-from gdrl_torchrl.training.build import build_training
-from gdrl_torchrl.training.genetic import GeneticHook
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.settings import EvolutionConfig
+from gdrl_torchrl.runs.build import build_training
 
 CONF = resources.files("gdrl_torchrl.conf")
 GROUPS = ("task", "algorithm", "network", "evolution")

@@ -17,8 +17,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 from torchrl.envs import EnvBase
 
-from gdrl_torchrl.torchrl_configs import GeneticHookConfig, register_torchrl_configs
-from gdrl_torchrl.training.attach import AttachedGeneticHook
+from gdrl_torchrl.cli.torchrl_configs import GeneticHookConfig, register_torchrl_configs
+from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending" / "torchrl_hydra.md"
 SMALL = (

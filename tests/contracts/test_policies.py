@@ -10,8 +10,8 @@ import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from tests.contracts.policies import CASES, Case
 
 MEMBERS, SEEDS, STEPS = 3, (11, 12), 40

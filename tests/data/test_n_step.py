@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from gdrl_torchrl.data.n_step import NStep
+from gdrl_torchrl.agents.rainbow.n_step import NStep
 
 KEYS = {
     "observation",

@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 
-from gdrl_torchrl.data.n_step import NStep
-from gdrl_torchrl.data.replay import (
+from gdrl_torchrl.agents.rainbow.n_step import NStep
+from gdrl_torchrl.agents.rainbow.replay import (
     buffer_state,
     draw_minibatch,
     load_buffer_state,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from gdrl_torchrl.evolution.crossover import (
+from gdrl_torchrl.evolution.operators.crossover import (
     CROSSOVERS,
     mean_crossover,
     most_similar,

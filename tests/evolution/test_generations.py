@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from gdrl_torchrl.evolution.generations import (
+from gdrl_torchrl.evolution.operators.generations import (
     erl_mutation,
     next_erl_generation,
     next_truncated_generation,

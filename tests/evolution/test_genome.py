@@ -8,7 +8,12 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.modules import MLP, NoisyLinear
 
-from gdrl_torchrl.evolution.genome import concatenate, genome_of, install, stack_copies
+from gdrl_torchrl.evolution.operators.genome import (
+    concatenate,
+    genome_of,
+    install,
+    stack_copies,
+)
 
 
 def names(genome):

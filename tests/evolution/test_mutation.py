@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from gdrl_torchrl.evolution.mutation import MUTATIONS, standard_deviation
+from gdrl_torchrl.evolution.operators.mutation import MUTATIONS, standard_deviation
 
 SHAPES = st.dictionaries(
     st.sampled_from(["a", "b", "c"]),

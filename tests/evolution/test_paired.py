@@ -9,7 +9,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gdrl_torchrl.evolution.paired import HalvingPlan, better_half, sign_flip_p_value
+from gdrl_torchrl.evolution.operators.paired import (
+    HalvingPlan,
+    better_half,
+    sign_flip_p_value,
+)
 
 
 def generator(seed=0):

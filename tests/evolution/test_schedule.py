@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl.evolution.schedule import MutationSchedule, SuccessWindow
+from gdrl_torchrl.evolution.hooks.watch import SuccessWindow
+from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from gdrl_torchrl.evolution.selection import TIE_RULES, rank_scores, select_best
+from gdrl_torchrl.evolution.operators.selection import TIE_RULES, rank_scores, select_best
 
 NAN = float("nan")
 SCORES = st.sampled_from([NAN, 0.0, 1.0, 2.0])

@@ -6,9 +6,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from gdrl_torchrl.evolution.genome import genome_of
-from gdrl_torchrl.evolution.sensitivity import dampen, output_sensitivity
-from gdrl_torchrl.modules.outputs import outputs_of
+from gdrl_torchrl.evolution.operators.genome import genome_of
+from gdrl_torchrl.evolution.operators.sensitivity import dampen, output_sensitivity
+from gdrl_torchrl.evolution.population.outputs import outputs_of
 
 
 @pytest.mark.parametrize("rows", [1, 5, 70])

@@ -9,7 +9,7 @@ from torch import nn
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
 
 SPEC = Bounded(-1.0, 1.0, shape=(2,))
 

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl.modules.graph import TracedFunction, trace
+from gdrl_torchrl.fast.graph import TracedFunction, trace
 
 
 def tensors(*shapes, seed=0):
@@ -181,7 +181,7 @@ def test_what_fills_new_memory_keeps_nothing_from_being_left_out():
 
 
 def test_new_memory_that_happens_to_be_equal_makes_no_difference(monkeypatch):
-    monkeypatch.setattr("gdrl_torchrl.modules.graph._are_equal", lambda one, other: True)
+    monkeypatch.setattr("gdrl_torchrl.fast.graph._are_equal", lambda one, other: True)
     traced = TracedFunction(noise, tensors((3,)), tensors((3,)))
     assert traced.num_operations == 4
 

@@ -15,8 +15,8 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import QValueActor
 
-from gdrl_torchrl.evolution.genome import genome_of, install, stack_copies
-from gdrl_torchrl.modules.population_actor import PopulationActor
+from gdrl_torchrl.evolution.operators.genome import genome_of, install, stack_copies
+from gdrl_torchrl.evolution.population.actor import PopulationActor
 
 MEMBERS, EPISODES = 4, 5
 

@@ -13,9 +13,9 @@ from torchrl.data import Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import NoisyLinear, reset_noise
 
-from gdrl_torchrl.evolution.genome import genome_of, install
-from gdrl_torchrl.modules.population_actor import PopulationActor
-from gdrl_torchrl.modules.q_network import make_q_actor
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
+from gdrl_torchrl.evolution.operators.genome import genome_of, install
+from gdrl_torchrl.evolution.population.actor import PopulationActor
 
 NOISY, GREEDY = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 SIZE, ACTIONS, ATOMS = 3, 4, 7

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl.modules.recorder import Recorder
+from gdrl_torchrl.fast.recorder import Recorder
 
 OPERATIONS = {
     "product": lambda x, y: x @ y,

@@ -7,9 +7,9 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Bounded
 
-from gdrl_torchrl.config.algorithms import PPOConfig
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
-from gdrl_torchrl.objectives.ppo import make_ppo_loss
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.agents.ppo.loss import make_ppo_loss
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
 
 WORLDS, TIME = 4, 9
 

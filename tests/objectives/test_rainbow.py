@@ -17,15 +17,15 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import DistributionalQValueActor
 from torchrl.objectives import DistributionalDQNLoss
 
-from gdrl_torchrl.data.n_step import NStep
-from gdrl_torchrl.modules.actor import make_value_network
-from gdrl_torchrl.modules.q_network import make_q_actor
-from gdrl_torchrl.objectives.rainbow import (
+from gdrl_torchrl.agents.networks import make_value_network
+from gdrl_torchrl.agents.rainbow.loss import (
     RainbowLoss,
     project,
     resample_noise,
     soft_update_target,
 )
+from gdrl_torchrl.agents.rainbow.n_step import NStep
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
 
 SIZE, ACTIONS, ATOMS, GAMMA = 3, 4, 11, 0.9
 LOW, HIGH = -1.0, 2.0

@@ -10,12 +10,12 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import SACLoss
 from torchrl.objectives.common import LossModule
 
-from gdrl_torchrl.config.algorithms import PPOConfig
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor, make_value_network
-from gdrl_torchrl.modules.q_network import make_q_actor
-from gdrl_torchrl.objectives.ppo import make_ppo_loss
-from gdrl_torchrl.objectives.rainbow import RainbowLoss, resample_noise
-from gdrl_torchrl.objectives.traced_loss import TracedLoss
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.agents.ppo.loss import make_ppo_loss
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.rainbow.loss import RainbowLoss, resample_noise
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
+from gdrl_torchrl.fast.loss import TracedLoss
 
 SIZE = 16
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import gdrl_torchrl.conf
 import pytest
 
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.config.evolution import ErlConfig
-from gdrl_torchrl.training.phases import PHASES
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.evolution.settings import ErlConfig
+from gdrl_torchrl.runs.phases import PHASES
 
 ROWS = 90
 DISK_KB = 4096

@@ -13,11 +13,12 @@ import signal
 import sys
 from pathlib import Path
 
-from gdrl_tasks.batch import BatchSimulation
+from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_torchrl.cli import train
-from gdrl_torchrl.training import checkpoint, genetic
-from gdrl_torchrl.training.run_directory import MetricsTable
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks import genetic
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.files.metrics import MetricsTable
+from gdrl_torchrl.runs import checkpoint
 
 SAVING = ("half a file", "before flush", "before rename", "before names", "before prune")
 HAND_OVER = ("before", "weights installed", "after")

@@ -19,10 +19,12 @@ from hypothesis import strategies as st
 from tensordict import NonTensorData, TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training import checkpoint, checkpoint_file, state_file
-from gdrl_torchrl.training.checkpoint import Checkpoints
-from gdrl_torchrl.training.run import run_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.files import checkpoint as checkpoint_file
+from gdrl_torchrl.files import state as state_file
+from gdrl_torchrl.runs import checkpoint
+from gdrl_torchrl.runs.checkpoint import Checkpoints
+from gdrl_torchrl.runs.run import run_experiment
 
 IDENTITY = {"configuration": "0123abcd", "seed": 0}
 

@@ -20,16 +20,17 @@ from hypothesis import strategies as st
 
 import gdrl_torchrl.config
 from gdrl_tasks import task_names, task_options
-from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.algorithms import ALGORITHMS, algorithm_configs
-from gdrl_torchrl.config.evolution import EVOLUTIONS, ErlConfig
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig, NetworkConfig
+from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.training.build import build_training
-from gdrl_torchrl.training.checkpoint import seed_everything
-from gdrl_torchrl.training.evaluate import evaluate_policy
+from gdrl_torchrl.evolution.settings import EVOLUTIONS, ErlConfig
+from gdrl_torchrl.runs.build import build_training
+from gdrl_torchrl.runs.checkpoint import seed_everything
+from gdrl_torchrl.runs.evaluate import evaluate_policy
 
 # What every field is held to
 

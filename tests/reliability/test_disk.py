@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from gdrl_torchrl.analysis import figures
-from gdrl_torchrl.analysis.run_table import run_row
-from gdrl_torchrl.cli.compose import load_experiment
 from gdrl_torchrl.cli.evaluate import evaluate_run
-from gdrl_torchrl.training.run import run_experiment
-from gdrl_torchrl.training.run_directory import RunDirectoryError
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.run_table import run_row
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.runs.run import run_experiment
 
 ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
 """Room that a run finds: for nothing at all, up to most of it."""

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from gdrl_torchrl.analysis.run_table import find_runs, run_row, state_of
+from gdrl_torchrl.files.run_table import find_runs, run_row, state_of
 
 TRAIN = [sys.executable, "-m", "gdrl_torchrl.cli.train"]
 NEVER_BY_ITSELF = "checkpoint.interval_s=100000"

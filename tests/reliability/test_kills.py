@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.config.evolution import ErlConfig
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.evolution.settings import ErlConfig
 
 KILLABLE = Path(__file__).with_name("killable.py")
 COMMAND = Path(sysconfig.get_path("scripts")) / "gdrl-train"

@@ -9,19 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gdrl_torchrl.analysis import style
-from gdrl_torchrl.analysis.run_table import run_row
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.safe_files import locked, open_own, written_aside
-from gdrl_torchrl.training.faults import FaultFiles
-from gdrl_torchrl.training.run import run_experiment
-from gdrl_torchrl.training.run_directory import (
-    MetricsTable,
-    RunDirectory,
-    RunDirectoryError,
-)
-from gdrl_torchrl.training.tensorboard import ResumedTensorboardLogger
-from gdrl_torchrl.training.video import save_trajectories
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.faults import FaultFiles
+from gdrl_torchrl.files.metrics import MetricsTable
+from gdrl_torchrl.files.run_table import run_row
+from gdrl_torchrl.files.safe_files import locked, open_own, written_aside
+from gdrl_torchrl.files.trajectories import save_trajectories
+from gdrl_torchrl.pictures import style
+from gdrl_torchrl.runs.run import run_experiment
+from gdrl_torchrl.runs.tensorboard import ResumedTensorboardLogger
 
 
 @pytest.fixture

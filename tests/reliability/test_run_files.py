@@ -22,27 +22,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import load, save
 
-from gdrl_torchrl.analysis import fields, figures, trajectories_file
-from gdrl_torchrl.analysis.figures import draw_learning_curve, draw_trajectories
-from gdrl_torchrl.analysis.run_files import (
-    read_evaluation,
-    read_metrics,
-    read_trajectories,
-)
-from gdrl_torchrl.analysis.run_table import find_runs, run_row, select_runs
+from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.cli import evaluate, runs
-from gdrl_torchrl.cli.compose import load_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.training import evaluate as evaluation
-from gdrl_torchrl.training.build import make_actor
-from gdrl_torchrl.training.evaluate import load_policy, params_sha256, save_policy
-from gdrl_torchrl.training.monitor import COLUMNS
-from gdrl_torchrl.training.run import run_experiment
-from gdrl_torchrl.training.run_directory import (
-    MetricsTable,
-    RunDirectory,
-    RunDirectoryError,
-)
+from gdrl_torchrl.files import fields
+from gdrl_torchrl.files import trajectories as trajectories_file
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.evaluation import read_evaluation
+from gdrl_torchrl.files.metrics import MetricsTable, read_metrics
+from gdrl_torchrl.files.policy import load_policy, params_sha256, save_policy
+from gdrl_torchrl.files.run_table import find_runs, run_row, select_runs
+from gdrl_torchrl.files.trajectories import read_trajectories
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.pictures.figures import draw_learning_curve, draw_trajectories
+from gdrl_torchrl.runs import evaluate as evaluation
+from gdrl_torchrl.runs.monitor import COLUMNS
+from gdrl_torchrl.runs.run import run_experiment
 
 POLICY = "final/policy.safetensors"
 CONTRACT = "final/contract.json"

@@ -7,10 +7,10 @@ import statistics
 
 import pytest
 
-from gdrl_torchrl.analysis import figures
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training.monitor import RunMonitor
-from gdrl_torchrl.training.run import run_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.runs.monitor import RunMonitor
+from gdrl_torchrl.runs.run import run_experiment
 
 EVALUATIONS = 200
 SETTLED = 50

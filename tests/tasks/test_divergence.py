@@ -5,7 +5,7 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome
-from gdrl_tasks.divergence import repeat_step
+from gdrl_tasks.engines.replay import repeat_step
 
 NUM_WORLDS = 60
 

@@ -126,7 +126,7 @@ def test_one_outcome_hides_the_others_in_order():
 
 
 def test_figures_and_videos_show_every_outcome():
-    from gdrl_torchrl.analysis import captions, style
+    from gdrl_torchrl.pictures import captions, style
 
     names = {outcome.name.lower() for outcome in Outcome}
     colours = style.OUTCOME_COLOURS

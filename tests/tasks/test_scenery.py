@@ -11,8 +11,8 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import make_task, task_names
-from gdrl_tasks.batch import BatchSimulation
-from gdrl_tasks.scenery import cast_fewer_shadows, without_scenery
+from gdrl_tasks.engines.batch import BatchSimulation
+from gdrl_tasks.engines.scenery import cast_fewer_shadows, without_scenery
 from gdrl_tasks.water.scenery import _place_chase_camera
 from gdrl_tasks.water.wake import Track, foam
 

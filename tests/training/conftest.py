@@ -7,9 +7,9 @@ import json
 
 import pytest
 
-from gdrl_torchrl.analysis import figures
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training.phases import PHASES
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.runs.phases import PHASES
 
 CLOCK = ("wall_s", *PHASES)
 

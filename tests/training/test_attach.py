@@ -29,9 +29,9 @@ from torchrl.objectives import (
 )
 from torchrl.trainers.algorithms import DDPGTrainer, DQNTrainer, SACTrainer
 
-from gdrl_torchrl.evolution.mutation import scaled_mutation
-from gdrl_torchrl.training.attach import AttachedGeneticHook, find_policy
-from gdrl_torchrl.training.contest import Verdict
+from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook, find_policy
+from gdrl_torchrl.evolution.hooks.contest import Verdict
+from gdrl_torchrl.evolution.operators.mutation import scaled_mutation
 
 FRAMES = 300
 

@@ -11,10 +11,10 @@ from torchrl.envs.utils import ExplorationType
 from torchrl.modules import EGreedyModule
 
 from gdrl_tasks import make_task
+from gdrl_torchrl.agents.collectors.navigation import NavigationCollector, make_collector
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
 from gdrl_torchrl.envs.make import make_env
-from gdrl_torchrl.modules.actor import make_tanh_normal_actor
-from gdrl_torchrl.modules.q_network import make_q_actor
-from gdrl_torchrl.training.collect import NavigationCollector, make_collector
 
 WORLDS, STEPS = 3, 12
 

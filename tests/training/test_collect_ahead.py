@@ -13,15 +13,15 @@ from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 
 from gdrl_tasks import BatchSimulation, make_task
+from gdrl_torchrl.agents.collectors import ahead as collect_ahead
+from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.collectors.navigation import make_collector
+from gdrl_torchrl.agents.collectors.worker import WorkerDiedError
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
 from gdrl_torchrl.envs.make import make_env
-from gdrl_torchrl.modules.q_network import make_q_actor
-from gdrl_torchrl.training import collect_ahead
-from gdrl_torchrl.training.collect import make_collector
-from gdrl_torchrl.training.collect_ahead import AheadCollector
-from gdrl_torchrl.training.run import run_experiment
-from gdrl_torchrl.training.run_directory import MetricsTable
-from gdrl_torchrl.training.state_file import read_state, write_state
-from gdrl_torchrl.training.worker import WorkerDiedError
+from gdrl_torchrl.files.metrics import MetricsTable
+from gdrl_torchrl.files.state import read_state, write_state
+from gdrl_torchrl.runs.run import run_experiment
 
 WORLDS, STEPS = 3, 8
 TASK = make_task("indoor", step_limit=5)

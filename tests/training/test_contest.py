@@ -7,8 +7,8 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.paired import HalvingPlan
-from gdrl_torchrl.training.contest import CopiesContest, FullContest, PairedContest
+from gdrl_torchrl.evolution.hooks.contest import CopiesContest, FullContest, PairedContest
+from gdrl_torchrl.evolution.operators.paired import HalvingPlan
 
 STEPS = 100
 

@@ -7,9 +7,9 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.evolution.mutation import bernoulli_mutation
-from gdrl_torchrl.training.erl import ErlHook
+from gdrl_torchrl.evolution.hooks.erl import ErlHook
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
 
 MEMBERS = 5
 

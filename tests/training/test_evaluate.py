@@ -15,16 +15,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import gdrl_tasks
 from gdrl_tasks import Outcome, Stream
 from gdrl_tasks.seeds import stream_of
+from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.config.schema import EvaluationConfig
-from gdrl_torchrl.training.build import make_actor
-from gdrl_torchrl.training.evaluate import (
-    evaluate_policy,
-    greedy_act,
-    held_out_seeds,
-    load_policy,
-    params_sha256,
-    save_policy,
-)
+from gdrl_torchrl.files.policy import load_policy, params_sha256, save_policy
+from gdrl_torchrl.runs.evaluate import evaluate_policy, greedy_act, held_out_seeds
 
 OUTCOMES = {
     "success_rate": Outcome.SUCCESS,
@@ -60,7 +54,7 @@ def test_the_evaluation_equals_a_plain_loop(actor_of, population_of, easy_task_f
     actor = actor_of("tanh_normal")
     config = EvaluationConfig(episodes=9, num_worlds=4)
     # A member that reaches some of the goals, found among strong mutants.
-    from gdrl_torchrl.evolution.genome import install
+    from gdrl_torchrl.evolution.operators.genome import install
 
     population = population_of(actor, 8)
     best = None

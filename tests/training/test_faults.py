@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from gdrl_tasks.batch import BatchSimulation
+from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_torchrl.cli.replay import main, replay
-from gdrl_torchrl.objectives.traced_loss import TracedLoss
-from gdrl_torchrl.training.run import TrainingDivergedError, run_experiment
-from gdrl_torchrl.training.state_file import write_state
+from gdrl_torchrl.fast.loss import TracedLoss
+from gdrl_torchrl.files.state import write_state
+from gdrl_torchrl.runs.run import TrainingDivergedError, run_experiment
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 EVERY = "checkpoint.interval_s=0"
@@ -150,8 +150,8 @@ def test_a_parameter_that_is_not_finite_is_never_skipped(tiny_of_each, broken_at
 
 def test_a_skipped_update_changes_nothing(tiny_rainbow, broken_at):
     """Neither weights nor moments nor priorities."""
-    from gdrl_torchrl.training.build import build_training
-    from gdrl_torchrl.training.checkpoint import seed_everything
+    from gdrl_torchrl.runs.build import build_training
+    from gdrl_torchrl.runs.checkpoint import seed_everything
 
     config = tiny_rainbow("faults.on_non_finite_update=skip")
     seed_everything(0)

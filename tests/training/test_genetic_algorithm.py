@@ -7,8 +7,9 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.training.genetic_algorithm import GenerationLoop, GeneticAlgorithm
+from gdrl_torchrl.agents.loop import GenerationLoop
+from gdrl_torchrl.evolution.hooks.genetic_algorithm import GeneticAlgorithm
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 
 MEMBERS = 12
 

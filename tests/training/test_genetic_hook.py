@@ -24,11 +24,11 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
 
-from gdrl_torchrl.evolution.genome import genome_of
-from gdrl_torchrl.training.build import build_training
-from gdrl_torchrl.training.checkpoint import seed_everything
-from gdrl_torchrl.training.genetic import GeneticHook
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.operators.genome import genome_of
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.runs.build import build_training
+from gdrl_torchrl.runs.checkpoint import seed_everything
 
 
 class ScriptedEvaluator:

@@ -7,9 +7,9 @@ import csv
 import pytest
 
 from gdrl_torchrl.config.schema import BudgetConfig
-from gdrl_torchrl.training.monitor import COLUMNS, is_spent
-from gdrl_torchrl.training.phases import PHASES
-from gdrl_torchrl.training.run import run_experiment
+from gdrl_torchrl.runs.monitor import COLUMNS, is_spent
+from gdrl_torchrl.runs.phases import PHASES
+from gdrl_torchrl.runs.run import run_experiment
 
 NO_BUDGET = ("budget.agent_steps=null",)
 

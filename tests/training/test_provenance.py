@@ -9,8 +9,8 @@ import pytest
 
 import gdrl_tasks
 import gdrl_torchrl
-from gdrl_torchrl.training import provenance
-from gdrl_torchrl.training.provenance import code_version, git_revision
+from gdrl_torchrl.runs import place as provenance
+from gdrl_torchrl.runs.place import code_version, git_revision
 
 
 def git(folder, *arguments):

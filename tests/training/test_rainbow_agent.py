@@ -10,9 +10,9 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.genome import genome_of
-from gdrl_torchrl.training.build import build_training
-from gdrl_torchrl.training.checkpoint import seed_everything
+from gdrl_torchrl.evolution.operators.genome import genome_of
+from gdrl_torchrl.runs.build import build_training
+from gdrl_torchrl.runs.checkpoint import seed_everything
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training.build import build_training
-from gdrl_torchrl.training.checkpoint import TrainingState, seed_everything
-from gdrl_torchrl.training.provenance import RUN_VERSION, provenance
-from gdrl_torchrl.training.run import run_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.runs.build import build_training
+from gdrl_torchrl.runs.checkpoint import TrainingState, seed_everything
+from gdrl_torchrl.runs.place import RUN_VERSION, provenance
+from gdrl_torchrl.runs.run import run_experiment
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -12,13 +12,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from gdrl_torchrl.analysis import figures
-from gdrl_torchrl.analysis.run_table import state_of
-from gdrl_torchrl.training import run
-from gdrl_torchrl.training.monitor import COLUMNS
-from gdrl_torchrl.training.run import InterruptedRunError, run_experiment
-from gdrl_torchrl.training.run_directory import MetricsTable, RunDirectoryError
-from gdrl_torchrl.training.signals import _say_that_no_signal_saves, stop_signals
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.metrics import MetricsTable
+from gdrl_torchrl.files.run_table import state_of
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.runs import run
+from gdrl_torchrl.runs.monitor import COLUMNS
+from gdrl_torchrl.runs.run import InterruptedRunError, run_experiment
+from gdrl_torchrl.runs.signals import _say_that_no_signal_saves, stop_signals
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -373,7 +374,7 @@ def test_other_sources_do_not_stop_a_run_and_are_noted(tiny, monkeypatch, rows_o
     path = run_experiment(tiny("budget.agent_steps=40"))
     first = json.loads((path / "provenance.json").read_text())
     assert first["before"] == []
-    other = "gdrl_torchrl.training.provenance.code_version"
+    other = "gdrl_torchrl.runs.place.code_version"
     monkeypatch.setattr(other, lambda: "9.9+other")
     assert run_experiment(tiny("budget.agent_steps=80")) == path
     assert rows_of(path)[-1]["agent_steps"] == "80"

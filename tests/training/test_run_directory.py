@@ -9,13 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl import safe_files
-from gdrl_torchrl.training.run_directory import (
-    MetricsTable,
-    RunDirectory,
-    RunDirectoryError,
-    run_key,
-)
+from gdrl_torchrl.files import safe_files
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.errors import RunDirectoryError
+from gdrl_torchrl.files.metrics import MetricsTable
+from gdrl_torchrl.runs.place import run_key
 
 OTHER_WORDS = {
     "difficulty": "far",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gdrl_torchrl.cli.compose import load_experiment
-from gdrl_torchrl.training import run
-from gdrl_torchrl.training.run import run_experiment
+from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.runs import run
+from gdrl_torchrl.runs.run import run_experiment
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from gdrl_torchrl.training.phases import PHASES
-from gdrl_torchrl.training.run import run_experiment
-from gdrl_torchrl.training.run_directory import RunDirectory
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.runs.phases import PHASES
+from gdrl_torchrl.runs.run import run_experiment
 
 SHOWN = "logger.tensorboard=true"
 OF_UPDATES = {

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.objectives.common import LossModule
 
-from gdrl_torchrl.training.update import Update
+from gdrl_torchrl.agents.update import Update
 
 
 class Squares(LossModule):

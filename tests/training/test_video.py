@@ -18,19 +18,16 @@ import pytest
 
 from gdrl_tasks import NavigationTask, Outcome, make_task
 from gdrl_tasks.controllers import pursuit
+from gdrl_tasks.engines.scenery import draw_faster
 from gdrl_tasks.indoor.obstacles import clearance
 from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
-from gdrl_tasks.scenery import draw_faster
-from gdrl_torchrl.analysis.captions import caption_height
-from gdrl_torchrl.analysis.layout import posed
-from gdrl_torchrl.analysis.run_files import read_trajectories
-from gdrl_torchrl.training import frames as frames_of
-from gdrl_torchrl.training import gl_backend, video
-from gdrl_torchrl.training.video import (
-    record_trajectories,
-    save_trajectories,
-    write_video,
-)
+from gdrl_torchrl.files.trajectories import read_trajectories, save_trajectories
+from gdrl_torchrl.pictures.captions import caption_height
+from gdrl_torchrl.pictures.film import frames as frames_of
+from gdrl_torchrl.pictures.film import gl_backend, video
+from gdrl_torchrl.pictures.film.episodes import record_trajectories
+from gdrl_torchrl.pictures.film.video import write_video
+from gdrl_torchrl.pictures.layout import posed
 
 TASKS = ("water", "indoor")
 SEEDS = [11, 12]
@@ -250,7 +247,7 @@ def test_video_is_rendered(tmp_path: Path, short_task: NavigationTask) -> None:
 @pytest.mark.render
 @pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
 def test_top_camera_holds_the_arena_and_chase_camera_the_robot(arena: str) -> None:
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     environment = make_environment(make_task("indoor", arena=arena))
     try:
@@ -276,7 +273,7 @@ def test_top_camera_holds_the_arena_and_chase_camera_the_robot(arena: str) -> No
 def test_beams_end_on_what_they_hit_and_fade_out_where_they_hit_nothing(
     report: str,
 ) -> None:
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     options: dict[str, Any] = {"num_beams": 72, "field_of_view_deg": 360.0}
     if report == "held and noisy":
@@ -382,7 +379,7 @@ def test_process_with_rendering_switched_off_draws(tmp_path: Path) -> None:
     code = f"""
 import numpy as np
 from gdrl_tasks import make_task
-from gdrl_torchrl.training.video import write_video
+from gdrl_torchrl.pictures.film.video import write_video
 task = make_task("water", step_limit=3)
 act = lambda observation: np.zeros((len(observation), 2))
 size = dict(height={HEIGHT}, width={WIDTH})
@@ -431,7 +428,7 @@ def test_films_run_at_a_whole_multiple_of_real_time() -> None:
 @pytest.mark.render
 @pytest.mark.parametrize(("name", "fps"), [("water", 4), ("indoor", 25)])
 def test_frames_of_control_steps_show_the_recorded_episode(name: str, fps: int) -> None:
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     task = make_task(name, step_limit=4)
     recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
@@ -458,7 +455,7 @@ def test_frames_of_control_steps_show_the_recorded_episode(name: str, fps: int) 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_replay_for_a_film_has_the_recorded_states_bit_for_bit(name: str) -> None:
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     task = make_task(name, step_limit=20)
     recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
@@ -484,7 +481,7 @@ def test_replay_for_a_film_has_the_recorded_states_bit_for_bit(name: str) -> Non
 
 @pytest.mark.parametrize("name", TASKS)
 def test_frames_between_substeps_lie_between_their_states(name: str) -> None:
-    from gdrl_tasks.dm_env import make_environment
+    from gdrl_tasks.engines.dm_env import make_environment
 
     task = make_task(name, step_limit=6)
     recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)

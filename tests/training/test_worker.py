@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gdrl_torchrl.training.signals import stop_signals
-from gdrl_torchrl.training.worker import ForkedWorker, LocalWorker, WorkerDiedError
+from gdrl_torchrl.agents.collectors.worker import ForkedWorker, LocalWorker, WorkerDiedError
+from gdrl_torchrl.runs.signals import stop_signals
 
 KINDS = [LocalWorker, ForkedWorker]
 

@@ -6,7 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gdrl_torchrl.transforms.blocks import block_shapes, blocks_needed, fill_blocks
+from gdrl_torchrl.evolution.population.blocks import (
+    block_shapes,
+    blocks_needed,
+    fill_blocks,
+)
 
 SIZES = st.integers(1, 40)
 

@@ -26,11 +26,11 @@ from gdrl_tasks import Outcome, Stream
 from gdrl_tasks.seeds import stream_of
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import genome_of
-from gdrl_torchrl.evolution.selection import rank_scores, select_best
-from gdrl_torchrl.transforms import blocks
-from gdrl_torchrl.transforms.blocks import block_shapes
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import genome_of
+from gdrl_torchrl.evolution.operators.selection import rank_scores, select_best
+from gdrl_torchrl.evolution.population import blocks
+from gdrl_torchrl.evolution.population.blocks import block_shapes
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from torchrl.testing.mocking_classes import ContinuousActionVecMockEnv
 
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 SCORES = {"fitness", "success_rate", "return_mean", "frames", "successes", "returns"}
 EPISODES = 2

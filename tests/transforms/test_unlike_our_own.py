@@ -15,11 +15,11 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, GymEnv, SerialEnv, StepCounter, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from gdrl_torchrl.data.n_step import NStep
+from gdrl_torchrl.agents.rainbow.n_step import NStep
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.genome import genome_of, stack_copies
-from gdrl_torchrl.transforms import population_rollout
-from gdrl_torchrl.transforms.population_evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.population import env_rollout as population_rollout
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
 class PaysEnv(EnvBase):

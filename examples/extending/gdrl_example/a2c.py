@@ -18,15 +18,15 @@ from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import A2CTrainer
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.modules.actor import make_value_network
-from gdrl_torchrl.training.agent import (
+from gdrl_torchrl.agents.base import (
     NO_FRAME_LIMIT,
     Agent,
     Algorithm,
     make_training_env,
 )
-from gdrl_torchrl.training.ppo import make_ppo_actor
+from gdrl_torchrl.agents.networks import make_value_network
+from gdrl_torchrl.agents.ppo.agent import make_ppo_actor
+from gdrl_torchrl.config.schema import ExperimentConfig
 
 
 @dataclasses.dataclass

@@ -10,7 +10,7 @@ import numpy as np
 from dm_control import mujoco
 
 from gdrl_tasks.engines.quiet import quiet_engine
-from gdrl_tasks.scenery import cast_fewer_shadows, make_room
+from gdrl_tasks.engines.scenery import cast_fewer_shadows, make_room
 from gdrl_tasks.task import NavigationTask, WorldArrays
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)

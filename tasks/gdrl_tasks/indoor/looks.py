@@ -10,7 +10,7 @@ import math
 
 import mujoco
 
-from gdrl_tasks.scenery import VISIBLE_ONLY
+from gdrl_tasks.engines.scenery import VISIBLE_ONLY
 
 TYRE_COLOUR = [0.07, 0.07, 0.08, 1.0]
 

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gdrl_tasks.engines.scenery import USUAL_PICTURE, VISIBLE_ONLY
 from gdrl_tasks.indoor.lidar import FARTHEST_M
-from gdrl_tasks.scenery import USUAL_PICTURE, VISIBLE_ONLY
 
 _VERMILION = [0.9, 0.33, 0.05, 1.0]
 WALL_COLOUR = [0.5, 0.53, 0.57, 1.0]

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.indoor import lidar
 from gdrl_tasks.indoor.arena import ARENAS
 from gdrl_tasks.indoor.kernel import ahead_of, clearances_ahead, scan_ahead
@@ -23,7 +24,6 @@ from gdrl_tasks.indoor.robot import (
     obstacle_geoms,
 )
 from gdrl_tasks.indoor.scenery import draw_scan
-from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import (
     Episode,
     NavigationTask,

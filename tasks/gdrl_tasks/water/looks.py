@@ -8,7 +8,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from gdrl_tasks.scenery import PAINTED, USUAL_PICTURE, VISIBLE_ONLY
+from gdrl_tasks.engines.scenery import PAINTED, USUAL_PICTURE, VISIBLE_ONLY
 from gdrl_tasks.water.hull import Hull
 
 SEA_TEXTURE = f"{PAINTED}_sea"

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.kernels import upside_down
-from gdrl_tasks.scenery import without_scenery
 from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull

@@ -1,0 +1,214 @@
+"""The PPO agent of a run."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Bounded
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import OptimizationStepper
+
+from gdrl_tasks import NavigationTask
+from gdrl_torchrl.agents.base import (
+    ACTIVATIONS,
+    NO_FRAME_LIMIT,
+    Agent,
+    make_training_env,
+)
+from gdrl_torchrl.agents.collectors.navigation import make_collector
+from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.agents.ppo.loss import make_ppo_loss
+from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.update import NOTHING, Update
+from gdrl_torchrl.config.relations import check_fit
+from gdrl_torchrl.config.schema import ExperimentConfig
+
+_ENTROPY_OF_UNIT_NORMAL = 0.5 * math.log(2.0 * math.pi * math.e)
+
+
+def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
+    """The policy of a run.
+
+    Raises:
+        ValueError: If the task's actions are discrete.
+    """
+    check_fit(task, config)
+    size = task.spec.action_size
+    return make_tanh_normal_actor(
+        task.spec.observation_size,
+        Bounded(low=-1.0, high=1.0, shape=torch.Size([size]), dtype=torch.float32),
+        num_cells=tuple(config.network.actor_cells),
+        activation=ACTIVATIONS[config.network.activation],
+        initial_std=config.network.initial_std,
+    )
+
+
+class PPOLearner(OptimizationStepper):
+    """Estimates advantages in every epoch, and makes one update per minibatch.
+
+    As TorchRL's ``PPOTrainer`` does; but that puts the whole batch into a replay buffer in
+    every epoch, with all that nobody reads. Advantages of the critic as it was before the
+    first epoch are cheaper, and two of five seeds then learnt to cross waves late or never.
+
+    Args:
+        loss: The loss.
+        advantage: Writes what the loss reads into batches ``[W, T]``.
+        optimizer: Optimiser of the loss's parameters.
+        config: PPO's settings.
+        seed: Seed of the order of minibatches.
+        on_non_finite: As of :class:`~gdrl_torchrl.agents.update.Update`.
+    """
+
+    def __init__(
+        self,
+        loss: ClipPPOLoss,
+        advantage: GAE,
+        optimizer: torch.optim.Optimizer,
+        config: PPOConfig,
+        *,
+        seed: int,
+        on_non_finite: str = "stop",
+    ) -> None:
+        self.advantage = advantage
+        self.minibatch_size = config.minibatch_size
+        self.generator = torch.Generator().manual_seed(seed)
+        names: Any = loss.tensor_keys
+        read = [*loss.actor_network.in_keys, *loss.critic_network.in_keys]
+        read += [names.action, names.sample_log_prob]
+        read += [names.advantage, names.value_target, names.value]
+        self._keys = list(dict.fromkeys(read))
+        self.update = Update(
+            loss,
+            optimizer,
+            config.max_grad_norm,
+            diagnostics=["kl_approx", "clip_fraction", "explained_variance"],
+            noted=["entropy"],
+            on_non_finite=on_non_finite,
+        )
+        self.num_epochs = config.num_epochs
+        self._epoch = 0
+        self._minibatches: list[Any] = []
+
+    def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
+        """Register with a trainer: what begins an epoch, and its minibatches."""
+        super().register(trainer, name)
+        trainer.register_op("pre_epoch", self.begin_epoch)
+        trainer.register_op("process_optim_batch", self.draw)
+
+    def begin_epoch(self, batch: TensorDictBase) -> TensorDictBase:
+        """Add advantages to a batch ``[W, T]``, and draw an order of its rows."""
+        batch = self.advantage(batch)
+        rows = batch.select(*self._keys).reshape(-1)
+        order = torch.randperm(len(rows), generator=self.generator)
+        self._minibatches = list(rows[order].split(self.minibatch_size))
+        self._epoch = self._epoch % self.num_epochs + 1
+        if self._epoch == 1:
+            self._note_entropy(batch)
+        return batch
+
+    @torch.no_grad()
+    def _note_entropy(self, batch: TensorDictBase) -> None:
+        """Of the normal distribution that actions are drawn from before they are squashed.
+
+        That of the squashed one has no formula: to sample it would take random numbers
+        that the run then lacks.
+        """
+        logarithms = batch["scale"].log().sum(-1).mean()
+        offset = _ENTROPY_OF_UNIT_NORMAL * batch["scale"].shape[-1]
+        self.update.means.add([("entropy", logarithms + offset)])
+
+    def draw(self, batch: TensorDictBase) -> TensorDictBase:
+        """The next minibatch of the epoch.
+
+        Raises:
+            StopIteration: At its end, for a trainer to begin the next one.
+        """
+        if not self._minibatches:
+            raise StopIteration
+        return self._minibatches.pop(0)
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """One update, whose numbers are in the means of ``update``.
+
+        Raises:
+            NonFiniteUpdateError: If something in it is not finite.
+        """
+        # Of the last epoch: how far the policy has come from the one that collected.
+        self.update(sub_batch, diagnose=self._epoch == self.num_epochs)
+        return NOTHING
+
+    def state_dict(self) -> dict[str, Any]:
+        """Generator of the order, and a counter."""
+        return {
+            "generator": self.generator.get_state(),
+            "num_skipped": self.update.num_skipped,
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.generator.set_state(state_dict["generator"])
+        self.update.num_skipped = state_dict["num_skipped"]
+
+
+def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
+    """Build the agent, its environment and its trainer."""
+    algorithm, network = config.algorithm, config.network
+    env = make_training_env(config, task)
+    actor = make_ppo_actor(task, config)
+    critic = make_value_network(
+        task.spec.observation_size,
+        num_cells=tuple(network.critic_cells),
+        sees_time=network.critic_sees_time,
+        activation=ACTIVATIONS[network.activation],
+    )
+    loss, advantage = make_ppo_loss(actor, critic, algorithm)
+    optimizer = torch.optim.Adam(
+        loss.parameters(), lr=algorithm.learning_rate, eps=1e-5, fused=True
+    )
+    collector = make_collector(
+        env,
+        actor,
+        frames_per_batch=algorithm.frames_per_batch,
+        policy_keys=["action_log_prob", "loc", "scale"],
+    )
+    learner = PPOLearner(
+        loss,
+        advantage,
+        optimizer,
+        algorithm,
+        seed=config.seed,
+        on_non_finite=config.faults.on_non_finite_update,
+    )
+    with warnings.catch_warnings():
+        # TorchRL calls its trainers prototypes.
+        warnings.simplefilter("ignore")
+        trainer = Trainer(
+            collector=collector,
+            total_frames=NO_FRAME_LIMIT,
+            frame_skip=1,
+            optim_steps_per_batch=None,  # pyright: ignore[reportArgumentType]
+            num_epochs=algorithm.num_epochs,
+            loss_module=loss,
+            optimizer=optimizer,
+            optimization_stepper=learner,
+            auto_log_optim_steps=False,
+            progress_bar=False,
+        )
+    return Agent(
+        actor,
+        trainer,
+        env=env,
+        loss=loss,
+        optimizer=optimizer,
+        collector=collector,
+        parts={"learner": learner},
+        updates=[learner.update],
+        critic=critic,
+    )

@@ -1,0 +1,295 @@
+"""The Rainbow agent of a run: what collects, replays and learns."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.data import Categorical, TensorDictReplayBuffer
+from torchrl.modules import DistributionalQValueActor, EGreedyModule
+from torchrl.trainers import Trainer
+from torchrl.trainers.trainers import OptimizationStepper
+
+from gdrl_tasks import NavigationTask
+from gdrl_tasks.processors import allowed_processors
+from gdrl_torchrl import keys
+from gdrl_torchrl.agents.base import (
+    ACTIVATIONS,
+    NO_FRAME_LIMIT,
+    Agent,
+    make_training_env,
+)
+from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.collectors.navigation import make_collector
+from gdrl_torchrl.agents.rainbow.loss import (
+    RainbowLoss,
+    resample_noise,
+    soft_update_target,
+    target_and_online,
+)
+from gdrl_torchrl.agents.rainbow.n_step import NStep
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
+from gdrl_torchrl.agents.rainbow.replay import (
+    buffer_state,
+    draw_minibatch,
+    load_buffer_state,
+    make_prioritized_buffer,
+    note_errors,
+    share_experience,
+)
+from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.update import NOTHING, Update
+from gdrl_torchrl.config.relations import check_fit
+from gdrl_torchrl.config.schema import ExperimentConfig
+
+_OTHER_DRAWS = 1 << 41
+"""Added to a run's seed for what acts ahead, beside what learns."""
+
+
+def make_rainbow_actor(
+    task: NavigationTask, config: ExperimentConfig
+) -> DistributionalQValueActor:
+    """The greedy policy of a run; its support holds every return of the task.
+
+    Raises:
+        ValueError: If the task's actions are continuous.
+    """
+    check_fit(task, config)
+    algorithm: RainbowConfig = config.algorithm
+    return make_q_actor(
+        task.spec.observation_size,
+        task.spec.action_size,
+        value_range=task.spec.return_range(algorithm.gamma),
+        num_atoms=algorithm.num_atoms,
+        num_cells=tuple(config.network.actor_cells),
+        activation=ACTIVATIONS[config.network.activation],
+        noisy=algorithm.exploration == "noisy",
+        noisy_std=algorithm.noisy_std,
+    )
+
+
+class RainbowLearner(OptimizationStepper):
+    """Feeds the replay buffer, and makes one update per minibatch.
+
+    As a stepper it does what a trainer's separate hooks would do in the wrong order or
+    not at all: loss, gradient, target network, noise, priorities and the annealing of
+    beta.
+
+    Args:
+        loss: The loss, with its target network.
+        optimizer: Optimiser of its parameters.
+        buffer: The prioritised buffer.
+        config: Rainbow's settings.
+        seed: Seed of the choice among other policies' transitions.
+        exploration: The module whose epsilon decays, if there is one.
+        on_non_finite: As of :class:`~gdrl_torchrl.agents.update.Update`.
+    """
+
+    def __init__(
+        self,
+        loss: RainbowLoss,
+        optimizer: torch.optim.Optimizer,
+        buffer: TensorDictReplayBuffer,
+        config: RainbowConfig,
+        *,
+        seed: int,
+        exploration: EGreedyModule | None = None,
+        on_non_finite: str = "stop",
+    ) -> None:
+        self.loss, self.optimizer, self.buffer = loss, optimizer, buffer
+        self.config = config
+        self.exploration = exploration
+        self.n_step = NStep(config.gamma, config.num_steps)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.num_updates = 0
+        self.num_episodes = 0
+        self._target_and_online = target_and_online(loss)
+        self.update = Update(
+            loss,
+            optimizer,
+            config.max_grad_norm,
+            diagnostics=["q_mean", "clipped_mass"],
+            noted=["priority_mean", "priority_max"],
+            on_non_finite=on_non_finite,
+        )
+        self._is_first_update = True
+        self._anneal()
+
+    def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
+        """Register with a trainer: batches are stored, minibatches drawn."""
+        super().register(trainer, name)
+        trainer.register_op("batch_process", self.store)
+        trainer.register_op("process_optim_batch", self.draw)
+
+    def store(self, batch: TensorDictBase) -> TensorDictBase:
+        """Put a batch ``[W, T]`` into the buffer; epsilon decays by ended episode."""
+        self.buffer.extend(self.n_step(batch))
+        self.num_episodes += int(batch["next", keys.DONE].sum())
+        self._is_first_update = True
+        self._anneal()
+        return batch
+
+    def draw(self, batch: TensorDictBase) -> TensorDictBase:
+        """A minibatch.
+
+        Raises:
+            StopIteration: While the buffer warms up; a trainer then goes on collecting.
+        """
+        if len(self.buffer) < self.config.warmup_steps:
+            raise StopIteration
+        return draw_minibatch(self.buffer)
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """One update, whose numbers are in the means of ``update``.
+
+        Raises:
+            NonFiniteUpdateError: If something in it is not finite; nothing has changed,
+                the priorities included.
+        """
+        resample_noise(self.loss)
+        diagnose, self._is_first_update = self._is_first_update, False
+        self.update(sub_batch, diagnose=diagnose)
+        if self.update.skipped:
+            return NOTHING
+        torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
+        note_errors(self.buffer, sub_batch)
+        if diagnose:
+            error = sub_batch[self.loss.tensor_keys.priority]
+            self.update.means.add(
+                [("priority_mean", error.mean()), ("priority_max", error.max())]
+            )
+        self.num_updates += 1
+        self._anneal()
+        return NOTHING
+
+    def share(self, transitions: TensorDictBase, share: float) -> int:
+        """Take a share of whole episodes ``[T]`` of other policies into the buffer."""
+        return share_experience(
+            self.buffer, transitions, self.n_step, share, self.generator
+        )
+
+    def _anneal(self) -> None:
+        config = self.config
+        sampler: Any = self.buffer.sampler
+        beta = config.replay_beta + config.replay_beta_increment * self.num_updates
+        sampler.beta = min(1.0, beta)
+        if self.exploration is not None:
+            epsilon = config.epsilon_start * config.epsilon_decay**self.num_episodes
+            current: Any = self.exploration.eps
+            current.fill_(max(config.epsilon_end, epsilon))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Buffer, counters and generator."""
+        return {
+            "buffer": buffer_state(self.buffer),
+            "num_updates": self.num_updates,
+            "num_episodes": self.num_episodes,
+            "num_skipped": self.update.num_skipped,
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        load_buffer_state(self.buffer, state_dict["buffer"])
+        self.num_updates = state_dict["num_updates"]
+        self.num_episodes = state_dict["num_episodes"]
+        self.update.num_skipped = state_dict["num_skipped"]
+        self.generator.set_state(state_dict["generator"])
+        self._anneal()
+
+
+def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
+    """Build the agent, its environment and its trainer."""
+    algorithm: RainbowConfig = config.algorithm
+    actor = make_rainbow_actor(task, config)
+    loss = RainbowLoss(actor, gamma=algorithm.gamma)
+    optimizer = torch.optim.Adam(
+        list(loss.parameters()), lr=algorithm.learning_rate, eps=1e-4, fused=True
+    )
+    buffer = make_prioritized_buffer(
+        algorithm.replay_capacity,
+        alpha=algorithm.replay_alpha,
+        beta=algorithm.replay_beta,
+        batch_size=algorithm.minibatch_size,
+        seed=config.seed,
+    )
+    exploration = None
+    policy: Any = actor
+    if algorithm.exploration == "epsilon_greedy":
+        exploration = EGreedyModule(
+            Categorical(task.spec.action_size),
+            eps_init=algorithm.epsilon_start,
+            eps_end=algorithm.epsilon_end,
+        )
+        modules: list[Any] = [actor, exploration]
+        policy = TensorDictSequential(*modules)
+    collector: Any = _make_collector(config, task, policy)
+    learner = RainbowLearner(
+        loss,
+        optimizer,
+        buffer,
+        algorithm,
+        seed=config.seed,
+        exploration=exploration,
+        on_non_finite=config.faults.on_non_finite_update,
+    )
+    with warnings.catch_warnings():
+        # TorchRL calls its trainers prototypes.
+        warnings.simplefilter("ignore")
+        trainer = Trainer(
+            collector=collector,
+            total_frames=NO_FRAME_LIMIT,
+            frame_skip=1,
+            optim_steps_per_batch=algorithm.updates_per_batch,
+            loss_module=loss,
+            optimizer=optimizer,
+            optimization_stepper=learner,
+            auto_log_optim_steps=False,
+            progress_bar=False,
+        )
+    parts: dict[str, Any] = {"learner": learner}
+    if algorithm.collect_ahead:
+        parts["collector"] = collector
+    return Agent(
+        actor,
+        trainer,
+        env=None if algorithm.collect_ahead else collector.env,
+        loss=loss,
+        optimizer=optimizer,
+        collector=collector,
+        parts=parts,
+        updates=[learner.update],
+        follow_switch=functools.partial(soft_update_target, loss),
+        share_experience=learner.share,
+    )
+
+
+def _make_collector(
+    config: ExperimentConfig, task: NavigationTask, policy: TensorDictModuleBase
+) -> Collector | AheadCollector:
+    algorithm: RainbowConfig = config.algorithm
+
+    def make() -> Collector:
+        return make_collector(
+            make_training_env(config, task),
+            policy,
+            frames_per_batch=algorithm.frames_per_batch,
+            policy_keys=[],
+        )
+
+    if not algorithm.collect_ahead:
+        return make()
+    # Both sides will need the compiled functions, which take a moment to load.
+    task.draw_episode(config.seed)
+    return AheadCollector(
+        make,
+        policy,
+        seed=config.seed + _OTHER_DRAWS,
+        # On one processor the two sides would only take turns.
+        in_process=allowed_processors() > 1,
+    )

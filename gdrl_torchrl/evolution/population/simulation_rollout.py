@@ -1,0 +1,260 @@
+"""A population's episodes directly on a simulation, without an environment between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+
+from gdrl_tasks import BatchSimulation, Outcome
+from gdrl_torchrl import keys
+from gdrl_torchrl.evolution.population.blocks import (
+    block_shapes,
+    blocks_needed,
+    fill_blocks,
+)
+from gdrl_torchrl.evolution.population.env_rollout import mark_truncated
+
+if TYPE_CHECKING:
+    from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+
+_ROWS_SHOWN = 3
+
+
+def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
+    """The simulation that an environment is a plain view of, or None.
+
+    Also None if the evaluation needs something that only the environment has, or if an
+    action depends on more than what its own world observes, because worlds act in blocks
+    here.
+    """
+    # The attribute must be its own: wrappers pass on attributes of what they wrap.
+    simulation = vars(env).get("simulation")
+    if not isinstance(simulation, BatchSimulation):
+        return None
+    if evaluator.seeding_of(env) != "reset":
+        return None
+    told = {keys.SUCCESS, *simulation.arrays}
+    if not told.issuperset(map(str, evaluator.final_keys(env))):
+        return None
+    if evaluator.population.in_keys != [keys.OBSERVATION]:
+        return None
+    spec: Any = env.full_observation_spec[keys.OBSERVATION]
+    generator = torch.Generator().manual_seed(0)
+    shown = torch.rand(_ROWS_SHOWN, spec.shape[-1], generator=generator) - 0.5
+    rows = TensorDict({keys.OBSERVATION: shown.to(spec.dtype)}, batch_size=[_ROWS_SHOWN])
+    return simulation if evaluator.population.acts_row_by_row(rows) else None
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Let torch compute on the calling thread only.
+
+    Torch's own threads look for work for milliseconds after every operation, on the
+    processors that the engine needs: with them an evaluation took 1.3 to 1.6 times as
+    long.
+    """
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+
+
+class SimulationRollout:
+    """A ``PopulationRollout`` that makes no tensordict of the environment at each step.
+
+    It steps only the worlds whose episodes go on. They act in blocks of a few rows, each
+    with the weights of its member, and there are fewer blocks as episodes end. Many
+    blocks act in parts, on as many threads as the simulation has. Nearly all of the time
+    is then the engine's and the policy's.
+    """
+
+    def __init__(
+        self,
+        evaluator: PopulationEvaluator,
+        env: EnvBase,
+        scores: TensorDictBase,
+        seeds: torch.Tensor,
+    ) -> None:
+        self.evaluator, self.env = evaluator, env
+        self.simulation: BatchSimulation = env.simulation  # pyright: ignore
+        self.population = evaluator.population
+        self.scores, self.seeds = scores, seeds
+        self.first_member = 0
+        members, trials = scores.batch_size
+        self.shapes = block_shapes(members, trials, self.population.num_evolving)
+        self.shape = self.shapes[0]
+        self.run_all: Any = map
+        self.act: Any = None
+
+    def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
+        """Fill the scores ``[p, s]``; append transitions to ``log``."""
+        threads = min(self.simulation.num_threads, self.shape.parts)
+        with ExitStack() as stack:
+            stack.enter_context(one_torch_thread())
+            if threads > 1:
+                pool = ThreadPoolExecutor(threads, "gdrl-population")
+                self.run_all = stack.enter_context(pool).map
+            self._run(log, offset)
+
+    def _run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
+        members, trials = self.scores.batch_size
+        self.first_member = offset[0]
+        simulation, count = self.simulation, members * trials
+        live = np.arange(count)
+        seeds = np.tile(self.seeds.numpy(), members)
+        observation = simulation.reset(live, seeds).astype(np.float32)
+        returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
+        finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
+        limit = self.evaluator.max_steps
+        episodes = None if log is None else _EpisodeLog(self.env, observation)
+        slots = self._blocks(live, trials, None)
+        where = np.empty(count, dtype=np.int64)
+        while len(live):
+            where[slots.ravel()] = np.arange(slots.size)
+            rows = where[live]
+            action, is_number = self._act(observation, slots)
+            finite[live] &= is_number[rows]
+            result = simulation.step(action[rows], live)
+            observation[live] = result.observation
+            # Rounded to float32, as an environment's rewards are.
+            reward = result.reward.astype(np.float32)
+            returns[live] += reward
+            steps[live] += 1
+            if episodes is not None:
+                episodes.note(live, action[rows], reward, observation)
+            ended = result.terminated | result.truncated
+            if ended.any():
+                self._note_finals(final, live[ended])
+            if limit is not None:
+                ended = ended | (steps[live] >= limit)
+            if ended.any():
+                live = live[~ended]
+                slots = self._blocks(live, trials, slots)
+        final |= {"return": returns.astype(np.float32), "steps": steps, "finite": finite}
+        for name, value in final.items():
+            shaped = torch.from_numpy(value).reshape(members, trials)
+            self.scores.set_(name, shaped.to(self.scores[name].dtype))
+        if log is not None and episodes is not None:
+            log.append(episodes.transitions(trials, offset))
+
+    def _act(
+        self, observation: np.ndarray, slots: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Actions of the worlds in the slots, and whether they are numbers, ``[R]``."""
+        chosen = torch.from_numpy(observation[slots])
+        if self.act is None:
+            inputs = TensorDict({keys.OBSERVATION: chosen}, batch_size=slots.shape)
+            self.act = self.population.bind(
+                inputs, parts=self.shape.parts, run_all=self.run_all
+            )
+        action, finite = self.act([chosen])
+        return action.flatten(0, 1).numpy(), finite.flatten().numpy()
+
+    def _blocks(
+        self, live: np.ndarray, trials: int, slots: np.ndarray | None
+    ) -> np.ndarray:
+        """Worlds by block ``[K, B]``; loads the blocks' members if they change."""
+        needed = blocks_needed(live, trials, self.shape.rows)
+        shape = next(shape for shape in reversed(self.shapes) if shape.count >= needed)
+        if slots is not None and (needed == 0 or shape == self.shape):
+            return slots
+        self.shape = shape
+        slots, owners = fill_blocks(live, trials, shape)
+        self.population.choose(self.first_member + torch.from_numpy(owners))
+        self.act = None
+        return slots
+
+    def _empty_finals(self, count: int) -> dict[str, np.ndarray]:
+        arrays: dict[str, Any] = self.simulation.arrays
+        return {
+            name: np.zeros(count, bool if key == keys.SUCCESS else arrays[str(key)].dtype)
+            for key, name in self._final_names()
+        }
+
+    def _note_finals(self, final: dict[str, np.ndarray], worlds: np.ndarray) -> None:
+        arrays = self.simulation.arrays
+        for key, name in self._final_names():
+            if key == keys.SUCCESS:
+                final[name][worlds] = arrays["outcome"][worlds] == int(Outcome.SUCCESS)
+            else:
+                final[name][worlds] = arrays[str(key)][worlds]
+
+    def _final_names(self) -> list[tuple[Any, str]]:
+        return [(key, str(n)) for key, n in self.evaluator.final_keys(self.env).items()]
+
+
+class _EpisodeLog:
+    """Transitions of episodes, each world's from its first step to its last.
+
+    Args:
+        env: The environment of the worlds.
+        observation: What the worlds observe before the first step, ``[W, D]``, float32.
+    """
+
+    def __init__(self, env: Any, observation: np.ndarray) -> None:
+        self._env, self._arrays = env, env.simulation.arrays
+        self._first = {name: self._arrays[name].copy() for name in env.recorded}
+        self._observed = observation.copy()
+        self._steps: list[tuple[Any, ...]] = []
+
+    def note(
+        self,
+        worlds: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        observation: np.ndarray,
+    ) -> None:
+        """Note a step of worlds ``[K]``, with its actions and rewards ``[K, ...]``.
+
+        ``observation`` ``[W, D]`` is what all worlds observe after the step.
+        """
+        after = [self._arrays[name][worlds] for name in self._first]
+        self._steps.append((worlds, action, reward, observation[worlds], *after))
+
+    def transitions(self, trials: int, offset: tuple[int, int]) -> TensorDictBase:
+        """All transitions ``[N]`` with the environment's entries, world after world.
+
+        World ``w`` played episode ``w % trials`` of member ``w // trials``, both counted
+        from ``offset``.
+        """
+        columns = [np.concatenate(column) for column in zip(*self._steps, strict=True)]
+        order = columns[0].argsort(kind="stable")
+        world, action, reward, observation, *after = (x[order] for x in columns)
+        begins = np.flatnonzero(np.diff(world, prepend=-1))
+        began = world[begins]
+        previous = np.arange(len(world)) - 1
+
+        def before(first: np.ndarray, later: np.ndarray) -> np.ndarray:
+            values = later[previous]
+            values[begins] = first[began]
+            return values
+
+        named = dict(zip(self._first, after, strict=True))
+        earlier = {name: before(self._first[name], x) for name, x in named.items()}
+        rows = self._env.entries(before(self._observed, observation), earlier)
+        following = self._env.entries(observation, named)
+        following.set(keys.REWARD, torch.from_numpy(reward)[:, None])
+        # An episode that goes on after its last step was cut off.
+        is_last = np.zeros(len(world), dtype=bool)
+        is_last[np.append(begins[1:], len(world)) - 1] = True
+        goes_on = ~following[keys.DONE].flatten()
+        mark_truncated(following, torch.from_numpy(is_last) & goes_on)
+        lengths = np.diff(begins, append=len(world))
+        added = {
+            keys.ACTION: action,
+            "member": offset[0] + world // trials,
+            "episode": offset[1] + world % trials,
+            "time": np.arange(len(world)) - np.repeat(begins, lengths),
+        }
+        for name, values in added.items():
+            rows.set(name, torch.from_numpy(values))
+        return rows.set("next", following)

@@ -1,0 +1,67 @@
+"""From a configuration to the objects that train."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from gdrl_tasks import NavigationTask
+from gdrl_torchrl.agents.base import Agent
+from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.collectors.finite_batches import check_batch
+from gdrl_torchrl.agents.registry import algorithm_of
+from gdrl_torchrl.config.relations import make_task_of
+from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.envs.make import OnDivergence
+from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.evolution.hooks.base import PopulationHook
+from gdrl_torchrl.runs.build_evolution import make_population_hook
+
+
+@dataclasses.dataclass
+class Training:
+    """The objects of one run."""
+
+    task: NavigationTask
+    agent: Agent
+    genetic: PopulationHook
+    """Watches success; evaluates populations unless evolution is disabled."""
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.genetic.evaluator.close()
+        env, collector = self.agent.env, self.agent.collector
+        if isinstance(collector, AheadCollector):
+            collector.shutdown()
+        if env is not None and not env.is_closed:
+            env.close()
+
+
+def build_training(
+    config: ExperimentConfig, *, on_divergence: OnDivergence = None
+) -> Training:
+    """Build everything that a run trains with; seeds are the configuration's.
+
+    The global torch generator must have been seeded by the caller: initial weights and
+    the policy's noise come from it.
+
+    Args:
+        config: The configuration.
+        on_divergence: Called with every world that diverges, the agent's or one of a
+            population's.
+
+    Raises:
+        ValueError: If task and algorithm do not fit, or an option is out of range.
+    """
+    task = make_task_of(config)
+    algorithm = algorithm_of(config)
+    agent = algorithm.make_agent(config, task)
+    if on_divergence is not None and isinstance(agent.env, NavigationEnv):
+        agent.env.simulation.watch(on_divergence)
+    if on_divergence is not None and isinstance(agent.collector, AheadCollector):
+        agent.collector.watch(on_divergence)
+    genetic = make_population_hook(
+        config, task, agent, algorithm.make_actor, on_divergence=on_divergence
+    )
+    agent.trainer.register_op("batch_process", check_batch)
+    genetic.register(agent.trainer)
+    return Training(task, agent, genetic)

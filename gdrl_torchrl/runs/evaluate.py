@@ -1,0 +1,125 @@
+"""Held-out evaluation of a policy, and where policies are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
+from gdrl_tasks.navigation import success_weighted_path_length
+from gdrl_torchrl import keys
+from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
+from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.private_copy import private_copy
+
+
+def evaluate_policy(
+    task: NavigationTask,
+    actor: TensorDictModuleBase,
+    config: EvaluationConfig,
+    *,
+    backend: Backend = "batch",
+    num_threads: int = 0,
+    on_divergence: OnDivergence = None,
+) -> dict[str, float]:
+    """Run the greedy policy on held-out worlds.
+
+    Args:
+        task: The task.
+        actor: The policy.
+        config: Number of episodes, seed of the worlds, worlds at a time.
+        backend: What steps the worlds.
+        num_threads: Simulation threads.
+        on_divergence: Called with every world that diverges.
+
+    Returns:
+        Rates of each outcome, SPL and means per episode, by the names that
+        ``evaluation.json`` uses.
+    """
+    worlds = min(config.num_worlds, config.episodes)
+    evaluator = PopulationEvaluator(
+        actor,
+        num_episodes=config.episodes,
+        create_env_fn=lambda: make_env(
+            task,
+            worlds,
+            backend=backend,
+            num_threads=num_threads,
+            seed=0,  # of no episode: each is given its own
+            on_divergence=on_divergence,
+        ),
+        extra_keys=(keys.PATH_LENGTH, keys.SHORTEST_PATH),
+    )
+    try:
+        seeds = held_out_seeds(config)
+        result: Any = evaluator.evaluate(
+            stack_copies(genome_of(actor), 1), seeds=torch.from_numpy(seeds)
+        ).squeeze(0)
+    finally:
+        evaluator.close()
+    outcome = result[keys.OUTCOMES].numpy()
+    path = result[keys.PATH_LENGTH].numpy().astype(np.float64)
+    shortest = result[keys.SHORTEST_PATH].numpy().astype(np.float64)
+    time_s = result[keys.STEPS].numpy() * task.spec.control_interval_s
+    spl = success_weighted_path_length(outcome == Outcome.SUCCESS, shortest, path)
+
+    def rate(which: Outcome) -> float:
+        return float(np.mean(outcome == which))
+
+    return {
+        "episodes": config.episodes,
+        "success_rate": rate(Outcome.SUCCESS),
+        "collision_rate": rate(Outcome.COLLISION),
+        "timeout_rate": rate(Outcome.TIMEOUT),
+        "capsized_rate": rate(Outcome.CAPSIZED),
+        "diverged_rate": rate(Outcome.DIVERGED),
+        "spl": float(np.mean(spl)),
+        "return_mean": float(result[keys.RETURN_MEAN]),
+        "steps_mean": float(np.mean(result[keys.STEPS].numpy())),
+        "time_s_mean": float(np.mean(time_s)),
+        "speed_m_s_mean": float(path.sum() / time_s.sum()),
+    }
+
+
+def held_out_seeds(config: EvaluationConfig) -> np.ndarray:
+    """Seeds of the held-out worlds, a stream apart from training and fitness."""
+    return episode_seeds(Stream.EVALUATION, config.seed, 0, config.episodes)
+
+
+def greedy_act(actor: TensorDictModuleBase) -> Callable[[np.ndarray], np.ndarray]:
+    """The greedy policy on NumPy observations: ``[K, D]`` to actions ``[K, ...]``.
+
+    A copy acts, with the policy's weights, buffers and modes as they are now.
+    """
+    actor = private_copy(actor)
+
+    @torch.no_grad()
+    def act(observation: np.ndarray) -> np.ndarray:
+        rows = torch.from_numpy(observation.astype(np.float32))
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = actor(TensorDict({keys.OBSERVATION: rows}, batch_size=rows.shape[:1]))
+        return out[keys.ACTION].numpy()
+
+    return act
+
+
+def evaluation_record(
+    config: ExperimentConfig, scores: dict[str, Any], costs: dict[str, Any], digest: str
+) -> dict[str, Any]:
+    """The content of ``evaluation.json``, in its order."""
+    return {
+        "task": config.task.name,
+        "algorithm": config.algorithm_label,
+        "seed": config.seed,
+        **scores,
+        **costs,
+        "params_sha256": digest,
+    }
