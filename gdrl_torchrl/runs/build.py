@@ -13,8 +13,8 @@ from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import OnDivergence
 from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.hooks.base import PopulationHook
-from gdrl_torchrl.runs.build_evolution import make_population_hook
+from gdrl_torchrl.evolution.hooks.base import Evolution
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 
 
 @dataclasses.dataclass
@@ -23,12 +23,15 @@ class Training:
 
     task: NavigationTask
     agent: Agent
-    genetic: PopulationHook
-    """Watches success; evaluates populations unless evolution is disabled."""
+    watch: EpisodeWatch
+    """Counts the agent's episodes and their success."""
+    evolution: Evolution | None
+    """Evaluates populations; None for a bare agent."""
 
     def close(self) -> None:
         """Close the environments."""
-        self.genetic.evaluator.close()
+        if self.evolution is not None:
+            self.evolution.evaluator.close()
         env, collector = self.agent.env, self.agent.collector
         if isinstance(collector, AheadCollector):
             collector.shutdown()
@@ -59,9 +62,12 @@ def build_training(
         agent.env.simulation.watch(on_divergence)
     if on_divergence is not None and isinstance(agent.collector, AheadCollector):
         agent.collector.watch(on_divergence)
-    genetic = make_population_hook(
-        config, task, agent, algorithm.make_actor, on_divergence=on_divergence
-    )
     agent.trainer.register_op("batch_process", check_batch)
-    genetic.register(agent.trainer)
-    return Training(task, agent, genetic)
+    watch = EpisodeWatch(config.evolution.window_episodes)
+    watch.register(agent.trainer)
+    evolution = make_evolution(
+        config, task, agent, algorithm.make_actor, watch, on_divergence=on_divergence
+    )
+    if evolution is not None:
+        evolution.register(agent.trainer)
+    return Training(task, agent, watch, evolution)

@@ -35,7 +35,7 @@ _UNFINISHED = re.compile(r"\.+checkpoint-\d+\.torchrl(\..*)?")
 class TrainingState:
     """All state of a :class:`Training` as one ``state_dict``.
 
-    Networks, optimiser, genetic hook, simulator, replay or order of minibatches,
+    Networks, optimiser, evolution, simulator, replay or order of minibatches,
     collector counters and the global torch generator. A dm_control environment has no
     state to restore: a run on that backend resumes with new episodes.
 
@@ -56,7 +56,8 @@ class TrainingState:
             "actor": dict(agent.actor.state_dict()),
             "loss": None if agent.loss is None else dict(agent.loss.state_dict()),
             "optimizer": agent.optimizer and agent.optimizer.state_dict(),
-            "genetic": training.genetic.state_dict(),
+            "watch": training.watch.state_dict(),
+            "evolution": training.evolution and training.evolution.state_dict(),
             "env": env.get_state() if isinstance(env, NavigationEnv) else None,
             "parts": {name: dict(p.state_dict()) for name, p in agent.parts.items()},
             "counters": self.counters.state_dict(),
@@ -72,7 +73,9 @@ class TrainingState:
             agent.loss.load_state_dict(state_dict["loss"])
         if agent.optimizer is not None:
             agent.optimizer.load_state_dict(state_dict["optimizer"])
-        training.genetic.load_state_dict(state_dict["genetic"])
+        training.watch.load_state_dict(state_dict["watch"])
+        if training.evolution is not None:
+            training.evolution.load_state_dict(state_dict["evolution"])
         for name, part in agent.parts.items():
             part.load_state_dict(state_dict["parts"][name])
         self.counters.load_state_dict(state_dict["counters"])

@@ -19,7 +19,12 @@ from gdrl_torchrl import keys
 from gdrl_torchrl.agents.base import TrainsInSteps
 from gdrl_torchrl.agents.update import Update
 from gdrl_torchrl.config.schema import BudgetConfig
-from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, PopulationHook
+from gdrl_torchrl.evolution.hooks.base import (
+    Evolution,
+    GeneticEvaluation,
+    PopulationCounts,
+)
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.files.faults import FaultFiles
 from gdrl_torchrl.files.metrics import MetricsTable
 from gdrl_torchrl.runs.phases import PHASES, PhaseClock
@@ -54,7 +59,8 @@ class RunMonitor(TrainerHookBase):
     """Counts every cost, writes metrics, shows progress, saves and ends training.
 
     Args:
-        genetic: The hook with the population, for its window and counters.
+        watch: Counts the agent's episodes.
+        evolution: Evaluates populations; None for a bare agent.
         budget: When to end.
         table: Gets one row per batch.
         save: Called with all steps so far to save a checkpoint.
@@ -67,7 +73,8 @@ class RunMonitor(TrainerHookBase):
 
     def __init__(
         self,
-        genetic: PopulationHook,
+        watch: EpisodeWatch,
+        evolution: Evolution | None,
         budget: BudgetConfig,
         table: MetricsTable,
         *,
@@ -79,7 +86,7 @@ class RunMonitor(TrainerHookBase):
         logger: Logger | None = None,
     ) -> None:
         self.phases = PhaseClock()
-        self.genetic = genetic
+        self.watch, self.evolution = watch, evolution
         self.budget = budget
         self.table = table
         self.save = save
@@ -96,7 +103,8 @@ class RunMonitor(TrainerHookBase):
         self._batch_stats: dict[str, float] = {}
         self._trainer: TrainsInSteps | None = None
         self._bar: tqdm | None = None
-        genetic.on_evaluation.append(self._note_evaluation)
+        if evolution is not None:
+            evolution.on_evaluation.append(self._note_evaluation)
 
     def register(self, trainer: TrainsInSteps, name: str = "run_monitor") -> None:
         """Register with a trainer, after every hook whose work is to be reported."""
@@ -127,6 +135,10 @@ class RunMonitor(TrainerHookBase):
                 self._bar.close()
 
     @property
+    def _counts(self) -> PopulationCounts:
+        return PopulationCounts() if self.evolution is None else self.evolution.counts
+
+    @property
     def agent_steps(self) -> int:
         """Environment steps of the agent."""
         return int(self._trainer.collected_frames) if self._trainer else 0
@@ -134,7 +146,7 @@ class RunMonitor(TrainerHookBase):
     @property
     def total_steps(self) -> int:
         """Environment steps of agent and populations."""
-        return self.agent_steps + self.genetic.population_steps
+        return self.agent_steps + self._counts.steps
 
     @property
     def wall_s(self) -> float:
@@ -143,14 +155,14 @@ class RunMonitor(TrainerHookBase):
 
     def counters(self) -> dict[str, float]:
         """Every cost so far."""
-        population = self.genetic.population_steps
+        counts = self._counts
         return {
             "agent_steps": self.agent_steps,
-            "population_steps": population,
+            "population_steps": counts.steps,
             "total_steps": self.total_steps,
             "wall_s": round(self.wall_s, 3),
-            "evaluations": self.genetic.num_evaluations,
-            "switches": self.genetic.num_switches,
+            "evaluations": counts.evaluations,
+            "switches": counts.switches,
         }
 
     def __call__(self) -> None:
@@ -185,10 +197,10 @@ class RunMonitor(TrainerHookBase):
         counters = self.counters()
         row: dict[str, Any] = {
             **counters,
-            "episodes": self.genetic.episodes_completed,
-            "success_rate": self.genetic.window.running_rate,
+            "episodes": self.watch.episodes_completed,
+            "success_rate": self.watch.window.running_rate,
             "return_mean": self._batch_stats.get("return_mean"),
-            "without_fitness": self.genetic.num_without_fitness,
+            "without_fitness": self._counts.without_fitness,
             "diverged": self._num_diverged(),
             "skipped_updates": sum(update.num_skipped for update in self.updates),
         }

@@ -74,7 +74,7 @@ def report_run(
 ) -> None:
     """Held-out evaluation, figures, video and the policy itself."""
     task, actor = training.task, training.agent.actor
-    result = training.genetic.final_genome()
+    result = training.evolution and training.evolution.final_genome()
     if result is not None:
         install(actor, result)
     threads = config.simulation.num_threads

@@ -181,7 +181,8 @@ def _train(
 
     with contextlib.ExitStack() as stack:
         monitor = RunMonitor(
-            training.genetic,
+            training.watch,
+            training.evolution,
             config.budget,
             table,
             save=save,

@@ -10,16 +10,23 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.trainers.trainers import TrainerHookBase
 
-from gdrl_torchrl.config.checks import check_choice, check_range
 from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
 from gdrl_torchrl.evolution.hooks.hand_over import move_target
-from gdrl_torchrl.evolution.operators.mutation import mutations
-from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
+from gdrl_torchrl.evolution.hooks.parts import breeding_of, contest_of, hand_over_of
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 POLICY_NAMES = ("actor_network", "value_network")
 """Where TorchRL's losses keep the policy; beside an actor, the second is a critic."""
+
+
+NOT_ATTACHED = (
+    *("name", "enabled", "num_worlds", "experience_share", "share_on"),
+    *("sensitivity", "sensitivity_rows", "critic_on_switch"),
+)
+"""Settings that need more than a trainer shows: its replay buffer, its worlds, a critic."""
 
 
 class AttachedGeneticHook(TrainerHookBase):
@@ -31,30 +38,24 @@ class AttachedGeneticHook(TrainerHookBase):
     Args:
         create_env_fn: Makes the environment that populations are scored in, or is that
             environment; no collector may step it.
-        num_children: Children of an evaluation.
-        period_episodes: Training episodes between evaluations.
-        num_trials: Episodes that every member is scored on.
-        max_steps: Steps after which such an episode is cut off; None waits for its end.
+        max_steps: Steps after which an episode of fitness is cut off; None waits for its
+            end.
         fitness: ``return``, or ``goals`` where the environment has a flag ``success``.
-        mutation: Name of one of :func:`~gdrl_torchrl.evolution.operators.mutation.mutations`.
-        std: Standard deviation of the mutation, in weight units.
-        rates: Mutation probabilities, from low to high success; the first one where the
-            environment has no flag of success.
-        thresholds: Success rates at which the next of ``rates`` begins.
-        window_episodes: Training episodes that the success rate is over.
-        tie_rule: Who wins among equals: ``return_then_parent``, ``parent``, ``child``.
-        own_share: Share of its own weights that the agent keeps on a switch.
         target_tau: How far the policy's target network, if the loss has one, moves
             towards the winner on a switch: 1 copies it, 0 leaves the target.
         seed: Seed of the mutations and of the fitness episodes.
         on_evaluation: Called with each :class:`GeneticEvaluation`.
+        **settings: Fields of
+            :class:`~gdrl_torchrl.evolution.settings.EvolutionConfig`, but for
+            :data:`NOT_ATTACHED`. Where the environment has no flag of success, children
+            are mutated with the first of ``rates``.
 
     Attributes:
         genetic: The hook that was made, None before :meth:`register`.
 
     Raises:
-        ValueError: If there is no such mutation, the rates do not fit the thresholds,
-            or ``target_tau`` is outside [0, 1].
+        ValueError: If a setting is out of range.
+        TypeError: If there is no such setting.
 
     Examples:
         >>> from torchrl.envs import GymEnv
@@ -67,47 +68,26 @@ class AttachedGeneticHook(TrainerHookBase):
         self,
         *,
         create_env_fn: Callable[[], EnvBase] | EnvBase,
-        num_children: int = 10,
-        period_episodes: int = 50,
-        num_trials: int = 10,
         max_steps: int | None = None,
         fitness: str = "return",
-        mutation: str = "bernoulli",
-        std: float = 0.1,
-        rates: Sequence[float] = (0.75, 0.4, 0.1),
-        thresholds: Sequence[float] = (0.4, 0.8),
-        window_episodes: int = 100,
-        tie_rule: str = "return_then_parent",
-        own_share: float = 0.0,
         target_tau: float = 1.0,
         seed: int = 0,
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
+        **settings: Any,
     ) -> None:
-        check_choice("mutation", mutation, mutations())
-        check_range("target_tau", target_tau, least=0.0, most=1.0)
+        if unknown := sorted(settings.keys() & set(NOT_ATTACHED)):
+            raise TypeError(f"{unknown} cannot be given to a hook that is attached")
+        self.settings = EvolutionConfig(fitness=fitness, target_tau=target_tau, **settings)
         self.genetic: GeneticHook | None = None
-        self._target_tau = target_tau
-        self._on_evaluation = list(on_evaluation)
+        self._options: dict[str, Any] = {"seed": seed, "on_evaluation": on_evaluation}
         # An environment can be called as well: every module can.
         given = create_env_fn if isinstance(create_env_fn, EnvBase) else None
         self._make_evaluator = functools.partial(
             PopulationEvaluator,
-            num_episodes=num_trials,
+            num_episodes=self.settings.num_trials,
             create_env_fn=create_env_fn if given is None else lambda: given,
             max_steps=max_steps,
             fitness=fitness,
-            seed=seed,
-        )
-        self._make_hook = functools.partial(
-            GeneticHook,
-            num_children=num_children,
-            period_episodes=period_episodes,
-            mutation=mutations()[mutation],
-            std=std,
-            schedule=MutationSchedule(tuple(rates), tuple(thresholds)),
-            tie_rule=tie_rule,
-            own_share=own_share,
-            window_episodes=window_episodes,
             seed=seed,
         )
 
@@ -126,11 +106,20 @@ class AttachedGeneticHook(TrainerHookBase):
         loss = trainer.loss_module
         place = find_policy(loss)
         actor = getattr(loss, place)
-        genetic = self._make_hook(
+        genetic = GeneticHook(
             actor,
             self._make_evaluator(actor),
-            on_switch=[lambda: move_target(loss, place, self._target_tau)],
-            on_evaluation=self._on_evaluation,
+            breeding_of(self.settings, actor),
+            contest_of(self.settings),
+            hand_over_of(
+                self.settings,
+                actor,
+                optimizer=trainer.optimizer,
+                follow_switch=functools.partial(move_target, loss, place),
+            ),
+            watch=EpisodeWatch(self.settings.window_episodes),
+            period_episodes=self.settings.period_episodes,
+            **self._options,
         )
         genetic.register(trainer, name)
         self.genetic = genetic

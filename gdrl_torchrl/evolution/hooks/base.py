@@ -1,4 +1,4 @@
-"""What every hook that evaluates populations while an agent trains has in common."""
+"""What all that evaluates populations has in common, and the hooks beside an agent."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.trainers.trainers import TrainerHookBase
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.hooks.watch import SuccessWindow
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
@@ -35,19 +35,97 @@ class GeneticEvaluation:
     population_steps: int
 
 
-class PopulationHook(TrainerHookBase, abc.ABC):
-    """Counts the agent's episodes and evaluates a population after every few of them.
+@dataclasses.dataclass
+class PopulationCounts:
+    """What populations have cost and done so far; all zero for a bare agent."""
 
-    It also counts the evaluations in which no member had a fitness that is a number.
+    evaluations: int = 0
+    switches: int = 0
+    """Evaluations that changed the agent, or in which it changed the population."""
+    without_fitness: int = 0
+    """Evaluations in which no member had a fitness that is a number."""
+    steps: int = 0
+    """Environment steps."""
+
+    def add(self, evaluation: GeneticEvaluation) -> None:
+        """Count an evaluation."""
+        self.evaluations += 1
+        self.switches += int(evaluation.switched)
+        self.without_fitness += int(evaluation.scores[keys.FITNESS].isnan().all())
+        self.steps += evaluation.population_steps
+
+
+class Evolution(abc.ABC):
+    """Evaluates populations, and counts what that costs and gives.
+
+    Args:
+        evaluator: Scores populations, in an environment that no collector steps.
+        watch: Counts episodes and their success; None makes one.
+        seed: Seed of mutations and selections.
+        on_evaluation: Called with each :class:`GeneticEvaluation`.
+
+    Attributes:
+        counts: What was evaluated so far.
+    """
+
+    def __init__(
+        self,
+        evaluator: PopulationEvaluator,
+        *,
+        watch: EpisodeWatch | None = None,
+        seed: int = 0,
+        on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
+    ) -> None:
+        self.evaluator = evaluator
+        self.watch = EpisodeWatch() if watch is None else watch
+        self.on_evaluation = list(on_evaluation)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.counts = PopulationCounts()
+
+    @abc.abstractmethod
+    def register(self, trainer: Any, name: str = "evolution") -> None:
+        """Have a trainer call it after its steps."""
+
+    @abc.abstractmethod
+    def evaluate(self) -> GeneticEvaluation:
+        """Evaluate a population now, and do what follows from it."""
+
+    def final_genome(self) -> TensorDictBase | None:
+        """Weights that the run's result is, where they are not the agent's."""
+        return None
+
+    def _note(self, evaluation: GeneticEvaluation) -> GeneticEvaluation:
+        """Count an evaluation and tell those who asked."""
+        self.counts.add(evaluation)
+        for callback in self.on_evaluation:
+            callback(evaluation)
+        return evaluation
+
+    def state_dict(self) -> dict[str, Any]:
+        """Watch, counters and generators."""
+        return {
+            "watch": self.watch.state_dict(),
+            "generator": self.generator.get_state(),
+            "episodes_drawn": self.evaluator.episodes_drawn,
+            "counts": dataclasses.asdict(self.counts),
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.watch.load_state_dict(state_dict["watch"])
+        self.generator.set_state(state_dict["generator"])
+        self.evaluator.episodes_drawn = state_dict["episodes_drawn"]
+        self.counts = PopulationCounts(**state_dict["counts"])
+
+
+class PopulationHook(Evolution, TrainerHookBase):
+    """Evaluates a population after every few episodes of the agent.
 
     Args:
         actor: The agent's policy.
         evaluator: Scores populations, in an environment that no collector steps.
-        period_episodes: Training episodes between evaluations; None only watches.
-        window_episodes: Training episodes that the success rate is over.
-        seed: Seed of mutations and selections.
-        success_key: Flag of success in the training batches.
-        on_evaluation: Called with each :class:`GeneticEvaluation`.
+        period_episodes: Training episodes between evaluations.
+        **options: As of :class:`Evolution`.
 
     Raises:
         ValueError: If ``period_episodes`` < 1.
@@ -58,172 +136,45 @@ class PopulationHook(TrainerHookBase, abc.ABC):
         actor: TensorDictModuleBase,
         evaluator: PopulationEvaluator,
         *,
-        period_episodes: int | None = 50,
-        window_episodes: int = 100,
-        seed: int = 0,
-        success_key: str = keys.SUCCESS,
-        on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
+        period_episodes: int,
+        **options: Any,
     ) -> None:
-        if period_episodes is not None and period_episodes < 1:
+        if period_episodes < 1:
             raise ValueError(f"period_episodes={period_episodes} must be >= 1")
+        super().__init__(evaluator, **options)
         self.actor = actor
-        self.evaluator = evaluator
         self.period_episodes = period_episodes
-        self.window = SuccessWindow(window_episodes)
-        self.success_key = success_key
-        self.on_evaluation = list(on_evaluation)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.num_evaluations = 0
-        self.num_switches = 0
-        self.num_without_fitness = 0
-        self.population_steps = 0
-        self.episodes_completed = 0
         self._episodes_at_evaluation = 0
-        self._last_episode = -1
         self._trainer: Any = None
 
-    def register(self, trainer: Any, name: str = "genetic_hook") -> None:
-        """Register with a trainer: batches are observed, evaluations follow updates.
+    def register(self, trainer: Any, name: str = "population_hook") -> None:
+        """Register with a trainer: evaluations follow updates.
+
+        The watch is registered too, unless it is already.
 
         Raises:
-            ValueError: If the trainer collects asynchronously: it shows its hooks no
-                batches, so no episode would ever be counted.
+            ValueError: If the trainer collects asynchronously, see
+                :meth:`~gdrl_torchrl.evolution.hooks.watch.EpisodeWatch.register`.
         """
-        if getattr(trainer, "async_collection", False):
-            raise ValueError(
-                "async_collection=True: batches never reach the hook, so it would never "
-                "evaluate; collect synchronously"
-            )
+        if not self.watch.is_registered:
+            self.watch.register(trainer)
         self._trainer = trainer
         trainer.register_module(name, self)
-        trainer.register_op("batch_process", self.observe)
         trainer.register_op("post_steps", self)
-
-    @abc.abstractmethod
-    def evaluate(self) -> GeneticEvaluation:
-        """Evaluate a population now, and do what follows from it."""
-
-    def final_genome(self) -> TensorDictBase | None:
-        """Weights that the run's result is, where they are not the agent's."""
-        return None
 
     def __call__(self) -> None:
         """Evaluate if enough episodes have ended since the last evaluation."""
-        if self.period_episodes is None:
-            return
-        since = self.episodes_completed - self._episodes_at_evaluation
-        if since >= self.period_episodes:
-            self._episodes_at_evaluation = self.episodes_completed
+        ended = self.watch.episodes_completed
+        if ended - self._episodes_at_evaluation >= self.period_episodes:
+            self._episodes_at_evaluation = ended
             self.evaluate()
 
-    def observe(self, batch: TensorDictBase) -> TensorDictBase:
-        """Count a batch's ended episodes and note their success, in starting order.
-
-        Args:
-            batch: Collected transitions ``[T]`` or ``[W, T]`` with ``episode_number``
-                of the environment or, without it, the collector's trajectory ids.
-
-        Returns:
-            The batch itself.
-        """
-        done = batch["next", keys.DONE].reshape(-1)
-        episode = batch.get(keys.EPISODE_NUMBER, None)
-        if episode is None:
-            episode = batch["collector", "traj_ids"]
-        episode = episode.reshape(-1)
-        self._note_starts(episode.unique().tolist())
-        ended = episode[done]
-        success = batch.get(("next", self.success_key), None)
-        if success is None:
-            flags = torch.zeros(len(ended), dtype=torch.bool)
-        else:
-            flags = success.reshape(-1)[done]
-        for number, flag in zip(ended.tolist(), flags.tolist(), strict=True):
-            self.window.finish(number, flag)
-        self.episodes_completed += len(ended)
-        return batch
-
-    def _note_starts(self, episodes: list[int]) -> None:
-        known = (n for n in episodes if n <= self._last_episode)
-        if not all(self.window.is_open(number) for number in known):
-            # An episode that had ended is back: numbers begin anew, as after a restart
-            # with new episodes, and those that were running are gone.
-            self.window.forget_running()
-            self._last_episode = -1
-        begun = [number for number in episodes if number > self._last_episode]
-        self.window.begin(begun)
-        if begun:
-            self._last_episode = begun[-1]
-
-    def _note(self, evaluation: GeneticEvaluation) -> GeneticEvaluation:
-        """Count an evaluation and tell those who asked."""
-        self.num_evaluations += 1
-        self.num_switches += int(evaluation.switched)
-        self.population_steps += evaluation.population_steps
-        fitness = evaluation.scores[keys.FITNESS]
-        self.num_without_fitness += int(torch.isnan(fitness).all())
-        for callback in self.on_evaluation:
-            callback(evaluation)
-        return evaluation
-
     def state_dict(self) -> dict[str, Any]:
-        """Window, counters and generators."""
-        return {
-            "window": self.window.state_dict(),
-            "generator": self.generator.get_state(),
-            "episodes_drawn": self.evaluator.episodes_drawn,
-            "num_evaluations": self.num_evaluations,
-            "num_switches": self.num_switches,
-            "num_without_fitness": self.num_without_fitness,
-            "population_steps": self.population_steps,
-            "episodes_completed": self.episodes_completed,
-            "episodes_at_evaluation": self._episodes_at_evaluation,
-            "last_episode": self._last_episode,
-        }
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Return to a state of :meth:`state_dict`."""
-        self.window.load_state_dict(state_dict["window"])
-        self.generator.set_state(state_dict["generator"])
-        self.evaluator.episodes_drawn = state_dict["episodes_drawn"]
-        self.num_evaluations = state_dict["num_evaluations"]
-        self.num_switches = state_dict["num_switches"]
-        self.num_without_fitness = state_dict["num_without_fitness"]
-        self.population_steps = state_dict["population_steps"]
-        self.episodes_completed = state_dict["episodes_completed"]
-        self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]
-        self._last_episode = state_dict["last_episode"]
-
-
-class LivingPopulationHook(PopulationHook):
-    """A hook whose population lives on from one evaluation to the next.
-
-    Args:
-        actor: A policy of the population's family.
-        evaluator: Scores populations.
-        population: The first generation, ``[P]``.
-        **watching: As of :class:`PopulationHook`.
-
-    Attributes:
-        population: The generation that is scored next, ``[P]``.
-    """
-
-    def __init__(
-        self,
-        actor: TensorDictModuleBase,
-        evaluator: PopulationEvaluator,
-        population: TensorDictBase,
-        **watching: Any,
-    ) -> None:
-        super().__init__(actor, evaluator, **watching)
-        self.population = population
-
-    def state_dict(self) -> dict[str, Any]:
-        """As of the base, with the population."""
-        return super().state_dict() | {"population": self.population.to_dict()}
+        """As of the base, and when the last evaluation was."""
+        at = {"episodes_at_evaluation": self._episodes_at_evaluation}
+        return super().state_dict() | at
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
-        size = self.population.batch_size
-        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
+        self._episodes_at_evaluation = state_dict["episodes_at_evaluation"]

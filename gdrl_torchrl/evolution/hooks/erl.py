@@ -9,13 +9,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, LivingPopulationHook
+from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, PopulationHook
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.generations import next_erl_generation, ranking
 from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
-class ErlHook(LivingPopulationHook):
+class ErlHook(PopulationHook):
     """A population that lives on, fed by the agent and feeding its replay buffer.
 
     Evolutionary RL (Khadka and Tumer, NeurIPS 2018, https://arxiv.org/abs/1805.07917):
@@ -37,10 +38,9 @@ class ErlHook(LivingPopulationHook):
         mutation_probability: Of each member that is no elite.
         sync_period: Generations between copies of the agent.
         share_experience: Called with all transitions ``[T]`` of a generation.
-        period_episodes: Training episodes between generations; None only watches.
-        window_episodes: Training episodes that the success rate is over.
+        watch: Counts the agent's episodes; None makes one.
+        period_episodes: Training episodes between generations.
         seed: Seed of selection and mutation.
-        success_key: Flag of success in the training batches.
         on_evaluation: Called with each evaluation.
 
     Attributes:
@@ -62,20 +62,17 @@ class ErlHook(LivingPopulationHook):
         mutation_probability: float = 0.9,
         sync_period: int = 1,
         share_experience: Callable[[TensorDictBase], object] | None = None,
-        period_episodes: int | None = 8,
-        window_episodes: int = 100,
+        watch: EpisodeWatch | None = None,
+        period_episodes: int = 8,
         seed: int = 0,
-        success_key: str = keys.SUCCESS,
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
     ) -> None:
         super().__init__(
             actor,
             evaluator,
-            population,
+            watch=watch,
             period_episodes=period_episodes,
-            window_episodes=window_episodes,
             seed=seed,
-            success_key=success_key,
             on_evaluation=on_evaluation,
         )
         if sync_period < 1:
@@ -86,6 +83,7 @@ class ErlHook(LivingPopulationHook):
                 f"num_elites={num_elites} must be in [1, {count - 2}], so that one member "
                 "is new and one is the agent's copy"
             )
+        self.population = population
         self.num_elites = num_elites
         self.tournament_size = tournament_size
         self.mutation_probability = mutation_probability
@@ -106,7 +104,7 @@ class ErlHook(LivingPopulationHook):
         last = len(order) - 1
         agent = last if self._agent_is_in else None
         evaluation = GeneticEvaluation(
-            number=self.num_evaluations,
+            number=self.counts.evaluations,
             mut_p=None,
             scores=scores,
             winner=int(order[0]),
@@ -132,8 +130,11 @@ class ErlHook(LivingPopulationHook):
         return self.champion
 
     def state_dict(self) -> dict[str, Any]:
-        """As of the base, with the champion."""
-        state = super().state_dict() | {"agent_is_in": self._agent_is_in}
+        """As of the base, with population and champion."""
+        state = super().state_dict() | {
+            "population": self.population.to_dict(),
+            "agent_is_in": self._agent_is_in,
+        }
         if self.champion is not None:
             state["champion"] = self.champion.to_dict()
         return state
@@ -141,6 +142,8 @@ class ErlHook(LivingPopulationHook):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
+        size = self.population.batch_size
+        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
         self._agent_is_in = bool(state_dict["agent_is_in"])
         champion = state_dict.get("champion")
         if champion is not None:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict import TensorDict, TensorDictBase
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, LivingPopulationHook
+from gdrl_torchrl.evolution.hooks.base import Evolution, GeneticEvaluation
 from gdrl_torchrl.evolution.operators.generations import next_truncated_generation, ranking
 from gdrl_torchrl.evolution.operators.selection import rank_scores
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
-class GeneticAlgorithm(LivingPopulationHook):
-    """One generation at every step of a :class:`GenerationLoop`.
+class GeneticAlgorithm(Evolution):
+    """One generation at every step of what it is registered with.
 
     Every member is scored over the same fresh episodes; the best few and the elite play
     again, and the best of those is the new elite, which goes on unchanged; the rest of
@@ -25,16 +23,14 @@ class GeneticAlgorithm(LivingPopulationHook):
     https://arxiv.org/abs/1712.06567, algorithm 1).
 
     Args:
-        actor: A policy of the population's family.
         evaluator: Scores populations.
         population: The first generation, ``[P]``.
         num_parents: Best members that children are made of.
         num_validated: Best members that play again; 0 takes the first as the elite.
         validation_trials: Episodes of each of those.
         std: Standard deviation of the mutation, in weight units.
-        window_episodes: The elite's episodes that the success rate is over.
-        seed: Seed of selection and mutation.
-        on_evaluation: Called with each evaluation.
+        **options: As of :class:`~gdrl_torchrl.evolution.hooks.base.Evolution`; the watch is
+            over the elite's episodes.
 
     Attributes:
         population: The generation that is scored next, ``[P]``, the elite first.
@@ -45,7 +41,6 @@ class GeneticAlgorithm(LivingPopulationHook):
 
     def __init__(
         self,
-        actor: TensorDictModuleBase,
         evaluator: PopulationEvaluator,
         population: TensorDictBase,
         *,
@@ -53,18 +48,9 @@ class GeneticAlgorithm(LivingPopulationHook):
         num_validated: int = 5,
         validation_trials: int = 10,
         std: float = 0.1,
-        window_episodes: int = 100,
-        seed: int = 0,
-        on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
+        **options: Any,
     ) -> None:
-        super().__init__(
-            actor,
-            evaluator,
-            population,
-            window_episodes=window_episodes,
-            seed=seed,
-            on_evaluation=on_evaluation,
-        )
+        super().__init__(evaluator, **options)
         count = population.batch_size[0]
         for name, value, least in (
             ("num_parents", num_parents, 1),
@@ -74,15 +60,17 @@ class GeneticAlgorithm(LivingPopulationHook):
                 raise ValueError(f"{name}={value} must be in [{least}, {count}]")
         if validation_trials < 1:
             raise ValueError(f"validation_trials={validation_trials} must be >= 1")
+        self.population = population
         self.num_parents = num_parents
         self.num_validated = num_validated
         self.validation_trials = validation_trials
         self.std = std
         self._has_elite = False
 
-    def __call__(self) -> None:
-        """A generation."""
-        self.evaluate()
+    def register(self, trainer: Any, name: str = "genetic_algorithm") -> None:
+        """Have a generation at every step of a trainer."""
+        trainer.register_module(name, self)
+        trainer.register_op("post_steps", self.evaluate)
 
     def evaluate(self) -> GeneticEvaluation:
         """Score the population and make the next generation."""
@@ -100,12 +88,9 @@ class GeneticAlgorithm(LivingPopulationHook):
             steps += int(judged[keys.FRAMES].sum())
             row = int(ranking(judged[keys.FITNESS], judged[keys.RETURN_MEAN])[0])
             elite = int(best[row])
-        for success in judged[keys.SUCCESSES][row].tolist():
-            self.window.begin([self._last_episode + 1])
-            self._last_episode += 1
-            self.window.finish(self._last_episode, success)
+        self.watch.note(judged[keys.SUCCESSES][row].tolist())
         evaluation = GeneticEvaluation(
-            number=self.num_evaluations,
+            number=self.counts.evaluations,
             mut_p=None,
             scores=scores,
             winner=elite,
@@ -134,10 +119,15 @@ class GeneticAlgorithm(LivingPopulationHook):
         return self.population[0].clone() if self._has_elite else None
 
     def state_dict(self) -> dict[str, Any]:
-        """As of the base, with whether there is an elite."""
-        return super().state_dict() | {"has_elite": self._has_elite}
+        """As of the base, with the population."""
+        return super().state_dict() | {
+            "population": self.population.to_dict(),
+            "has_elite": self._has_elite,
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
+        size = self.population.batch_size
+        self.population = TensorDict.from_dict(state_dict["population"], batch_size=size)
         self._has_elite = bool(state_dict["has_elite"])
