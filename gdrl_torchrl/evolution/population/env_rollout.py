@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.utils import step_mdp
 
 from gdrl_torchrl import keys
-
-if TYPE_CHECKING:
-    from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.actor import PopulationActor
+from gdrl_torchrl.evolution.population.episodes import mark_truncated
+from gdrl_torchrl.evolution.population.rules import EvaluationRules
 
 LONGEST_EPISODE = 100_000
 """After so many steps an episode without a limit is taken to be endless."""
@@ -24,12 +24,14 @@ class PopulationRollout:
 
     def __init__(
         self,
-        evaluator: PopulationEvaluator,
+        rules: EvaluationRules,
+        population: PopulationActor,
         env: EnvBase,
         scores: TensorDictBase,
         seeds: torch.Tensor,
     ) -> None:
-        self.evaluator, self.env, self.scores, self.seeds = evaluator, env, scores, seeds
+        self.rules, self.population, self.env = rules, population, env
+        self.scores, self.seeds = scores, seeds
         self.used = scores.numel()
 
     def run(self, log: list[TensorDictBase] | None, offset: tuple[int, int]) -> None:
@@ -45,13 +47,13 @@ class PopulationRollout:
         alive[:used] = True
         returns = torch.zeros(worlds, dtype=torch.float64)
         steps = torch.zeros(worlds, dtype=torch.int64)
-        final_keys = self.evaluator.final_keys(env)
+        final_keys = self.rules.final_keys
         final = {
             name: torch.zeros(worlds, dtype=self.scores[name].dtype)
             for name in final_keys.values()
         }
         finite = torch.ones(worlds, dtype=torch.bool)
-        limit = self.evaluator.max_steps
+        limit = self.rules.max_steps
         while bool(alive.any()):
             td = self._act(td, finite, alive)
             if not bool(alive.all()):
@@ -85,7 +87,7 @@ class PopulationRollout:
 
     def _reset(self) -> TensorDictBase:
         env = self.env
-        seeding = self.evaluator.seeding_of(env)
+        seeding = self.rules.seeding
         worlds = env.batch_size.numel()
         seeds = self.seeds.repeat(-(-worlds // len(self.seeds)))[:worlds]
         if seeding == "reset" and isinstance(env, BatchedEnvBase):
@@ -100,7 +102,7 @@ class PopulationRollout:
     def _act(
         self, td: TensorDictBase, finite: torch.Tensor, alive: torch.Tensor
     ) -> TensorDictBase:
-        population, used = self.evaluator.population, self.used
+        population, used = self.population, self.used
         rows: Any = td.select(*population.in_keys).reshape(-1)
         rows = population(rows[:used] if used < rows.shape[0] else rows)
         acted = rows.pop("policy_is_finite")
@@ -136,25 +138,3 @@ class PopulationRollout:
         flat["time"] = steps[alive]
         mark_truncated(flat["next"], cut[alive])
         return flat
-
-
-def mark_truncated(following: TensorDictBase, cut: torch.Tensor) -> None:
-    """Mark transitions ``[N]`` as truncated where an episode is cut off.
-
-    The next transition is of another episode, and the last observation has a value.
-    """
-    shape = following[keys.DONE].shape
-    for key in (keys.DONE, keys.TRUNCATED):
-        flag = following.get(key, torch.zeros(shape, dtype=torch.bool))
-        following.set(key, flag | cut.reshape(-1, *[1] * (flag.ndim - 1)))
-
-
-def ordered_episodes(log: list[TensorDictBase]) -> TensorDictBase:
-    """Transitions of all steps as one tensordict, episode after episode."""
-    if not log:
-        return TensorDict(batch_size=[0])
-    whole: Any = TensorDict.cat(log)
-    member, episode, time = (whole.get(name) for name in ("member", "episode", "time"))
-    span, episodes = int(time.max()) + 1, int(episode.max()) + 1
-    order = (member * episodes + episode) * span + time
-    return whole.exclude("time")[order.argsort()]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Any, Literal
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, Transform
@@ -16,18 +15,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.population.actor import PopulationActor
-from gdrl_torchrl.evolution.population.env_rollout import (
-    PopulationRollout,
-    ordered_episodes,
-)
+from gdrl_torchrl.evolution.population.env_rollout import PopulationRollout
+from gdrl_torchrl.evolution.population.episodes import ordered_episodes
+from gdrl_torchrl.evolution.population.rules import EvaluationRules, Fitness
 from gdrl_torchrl.evolution.population.simulation_rollout import (
     SimulationRollout,
     simulation_of,
 )
-
-_logger = logging.getLogger(__name__)
-
-Fitness = str | Callable[[TensorDictBase], torch.Tensor]
 
 
 class PopulationEvaluator(Transform):
@@ -245,30 +239,26 @@ class PopulationEvaluator(Transform):
         self, params: TensorDictBase, seeds: torch.Tensor | None, *, keep_transitions: bool
     ) -> tuple[TensorDictBase, TensorDictBase]:
         env, count = self.env, params.batch_size[0]
-        if self.fitness == "goals" and "success" not in self.final_keys(env).values():
-            raise ValueError(
-                f"fitness='goals' needs the entry {self.success_key!r} of the environment, "
-                "which it has not: choose fitness='return' or another success_key"
-            )
+        rules = self._rules(env)
         self._check_inputs(env)
-        seeding, are_given = self.seeding_of(env), seeds is not None
+        are_given = seeds is not None
         if seeds is None:
             seeds = self.fresh_seeds(self.num_episodes)
         self.num_evaluations += 1
         seeds = torch.as_tensor(seeds, dtype=torch.int64)
         if seeds.ndim != 1 or len(seeds) == 0:
             raise ValueError(f"seeds of shape {tuple(seeds.shape)} must be [S], S >= 1")
-        scores = self._empty_scores(env, count, len(seeds))
+        scores = rules.empty_scores(count, len(seeds))
         log: list[TensorDictBase] = []
         worlds = env.batch_size.numel()
         trials = min(len(seeds), worlds)
         members = max(1, worlds // trials)
-        if seeding == "set_seed":
+        if rules.seeding == "set_seed":
             trials, members = 1 if are_given else trials, 1
         try:
             self.population.load(params)
             with set_exploration_type(self.exploration_type):
-                simulation = simulation_of(self, env)
+                simulation = simulation_of(rules, self.population, env)
                 make = PopulationRollout if simulation is None else SimulationRollout
                 for first in range(0, count, members):
                     rows = slice(first, min(first + members, count))
@@ -276,11 +266,11 @@ class PopulationEvaluator(Transform):
                     for begin in range(0, len(seeds), trials):
                         columns = slice(begin, min(begin + trials, len(seeds)))
                         part = (scores[rows, columns], seeds[columns])
-                        rollout = make(self, env, *part)
+                        rollout = make(rules, self.population, env, *part)
                         rollout.run(log if keep_transitions else None, (first, begin))
         finally:
             self.population.unload()
-        return self._summary(scores, env), ordered_episodes(log)
+        return rules.summary(scores), ordered_episodes(log)
 
     def _check_inputs(self, env: EnvBase) -> None:
         """Raise ValueError if the policy reads an entry that the environment lacks."""
@@ -293,67 +283,12 @@ class PopulationEvaluator(Transform):
                 "make_tensordict_primer() makes"
             )
 
-    def seeding_of(self, env: EnvBase) -> str:
-        """How episodes of an environment are chosen."""
-        if self.episode_seeding != "auto":
-            return self.episode_seeding
-        has_seeds = keys.EPISODE_SEED in env.full_observation_spec.keys(True, True)
-        return "reset" if has_seeds else "set_seed"
-
-    def final_keys(self, env: EnvBase) -> dict[NestedKey, NestedKey]:
-        """Entries to read at the end of an episode, and their names in the result."""
-        wanted = {self.success_key: "success", keys.OUTCOME: keys.OUTCOMES}
-        wanted |= {key: key for key in self.extra_keys}
-        offered = set(env.full_observation_spec.keys(True, True))
-        missing = [key for key in self.extra_keys if key not in offered]
-        if missing:
-            raise ValueError(f"extra_keys={missing} are not entries of the environment")
-        return {key: name for key, name in wanted.items() if key in offered}
-
-    def _empty_scores(self, env: EnvBase, members: int, episodes: int) -> TensorDict:
-        shape = (members, episodes)
-        scores = TensorDict(
-            {
-                "return": torch.zeros(shape),
-                "steps": torch.zeros(shape, dtype=torch.int64),
-                "success": torch.zeros(shape, dtype=torch.bool),
-                "finite": torch.ones(shape, dtype=torch.bool),
-            },
-            batch_size=shape,
+    def _rules(self, env: EnvBase) -> EvaluationRules:
+        return EvaluationRules.of(
+            env,
+            episode_seeding=self.episode_seeding,
+            success_key=self.success_key,
+            extra_keys=self.extra_keys,
+            max_steps=self.max_steps,
+            fitness=self.fitness,
         )
-        for key, name in self.final_keys(env).items():
-            dtype = env.full_observation_spec[key].dtype
-            scores[name] = torch.zeros(shape, dtype=dtype)
-        return scores
-
-    def _summary(self, scores: TensorDictBase, env: EnvBase) -> TensorDictBase:
-        result = TensorDict(
-            {
-                keys.SUCCESSES: scores["success"],
-                keys.RETURNS: scores["return"],
-                keys.STEPS: scores["steps"],
-                keys.SUCCESS_RATE: scores["success"].float().mean(dim=1),
-                keys.RETURN_MEAN: scores["return"].mean(dim=1),
-                keys.FRAMES: scores["steps"].sum(dim=1),
-            },
-            batch_size=scores.batch_size[:1],
-        )
-        for name in self.final_keys(env).values():
-            if name != "success":
-                result[name] = scores[name]
-        if callable(self.fitness):
-            fitness = self.fitness(result).float()
-        elif self.fitness == "goals":
-            fitness = scores["success"].sum(dim=1).float()
-        else:
-            fitness = result[keys.RETURN_MEAN].clone()
-        broken_policy = ~scores.get("finite").all(dim=1)
-        broken_return = ~torch.isfinite(scores["return"]).all(dim=1)
-        fitness = fitness.masked_fill(broken_policy | broken_return, torch.nan)
-        if bool(torch.isnan(fitness).all()):
-            _logger.warning(
-                "fitness is NaN for all %d members: actions are no numbers for %d, returns "
-                "for %d",
-                *(len(fitness), int(broken_policy.sum()), int(broken_return.sum())),
-            )
-        return result.set(keys.FITNESS, fitness)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,20 +14,21 @@ from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, Outcome
 from gdrl_torchrl import keys
+from gdrl_torchrl.evolution.population.actor import PopulationActor
 from gdrl_torchrl.evolution.population.blocks import (
     block_shapes,
     blocks_needed,
     fill_blocks,
 )
-from gdrl_torchrl.evolution.population.env_rollout import mark_truncated
-
-if TYPE_CHECKING:
-    from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.episodes import EpisodeLog
+from gdrl_torchrl.evolution.population.rules import EvaluationRules
 
 _ROWS_SHOWN = 3
 
 
-def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulation | None:
+def simulation_of(
+    rules: EvaluationRules, population: PopulationActor, env: EnvBase
+) -> BatchSimulation | None:
     """The simulation that an environment is a plain view of, or None.
 
     Also None if the evaluation needs something that only the environment has, or if an
@@ -38,18 +39,18 @@ def simulation_of(evaluator: PopulationEvaluator, env: EnvBase) -> BatchSimulati
     simulation = vars(env).get("simulation")
     if not isinstance(simulation, BatchSimulation):
         return None
-    if evaluator.seeding_of(env) != "reset":
+    if rules.seeding != "reset":
         return None
     told = {keys.SUCCESS, *simulation.arrays}
-    if not told.issuperset(map(str, evaluator.final_keys(env))):
+    if not told.issuperset(map(str, rules.final_keys)):
         return None
-    if evaluator.population.in_keys != [keys.OBSERVATION]:
+    if population.in_keys != [keys.OBSERVATION]:
         return None
     spec: Any = env.full_observation_spec[keys.OBSERVATION]
     generator = torch.Generator().manual_seed(0)
     shown = torch.rand(_ROWS_SHOWN, spec.shape[-1], generator=generator) - 0.5
     rows = TensorDict({keys.OBSERVATION: shown.to(spec.dtype)}, batch_size=[_ROWS_SHOWN])
-    return simulation if evaluator.population.acts_row_by_row(rows) else None
+    return simulation if population.acts_row_by_row(rows) else None
 
 
 @contextmanager
@@ -79,14 +80,14 @@ class SimulationRollout:
 
     def __init__(
         self,
-        evaluator: PopulationEvaluator,
+        rules: EvaluationRules,
+        population: PopulationActor,
         env: EnvBase,
         scores: TensorDictBase,
         seeds: torch.Tensor,
     ) -> None:
-        self.evaluator, self.env = evaluator, env
+        self.rules, self.population, self.env = rules, population, env
         self.simulation: BatchSimulation = env.simulation  # pyright: ignore
-        self.population = evaluator.population
         self.scores, self.seeds = scores, seeds
         self.first_member = 0
         members, trials = scores.batch_size
@@ -114,8 +115,8 @@ class SimulationRollout:
         observation = simulation.reset(live, seeds).astype(np.float32)
         returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
         finite, final = np.ones(count, dtype=bool), self._empty_finals(count)
-        limit = self.evaluator.max_steps
-        episodes = None if log is None else _EpisodeLog(self.env, observation)
+        limit = self.rules.max_steps
+        episodes = None if log is None else EpisodeLog(self.env, observation)
         slots = self._blocks(live, trials, None)
         where = np.empty(count, dtype=np.int64)
         while len(live):
@@ -189,72 +190,4 @@ class SimulationRollout:
                 final[name][worlds] = arrays[str(key)][worlds]
 
     def _final_names(self) -> list[tuple[Any, str]]:
-        return [(key, str(n)) for key, n in self.evaluator.final_keys(self.env).items()]
-
-
-class _EpisodeLog:
-    """Transitions of episodes, each world's from its first step to its last.
-
-    Args:
-        env: The environment of the worlds.
-        observation: What the worlds observe before the first step, ``[W, D]``, float32.
-    """
-
-    def __init__(self, env: Any, observation: np.ndarray) -> None:
-        self._env, self._arrays = env, env.simulation.arrays
-        self._first = {name: self._arrays[name].copy() for name in env.recorded}
-        self._observed = observation.copy()
-        self._steps: list[tuple[Any, ...]] = []
-
-    def note(
-        self,
-        worlds: np.ndarray,
-        action: np.ndarray,
-        reward: np.ndarray,
-        observation: np.ndarray,
-    ) -> None:
-        """Note a step of worlds ``[K]``, with its actions and rewards ``[K, ...]``.
-
-        ``observation`` ``[W, D]`` is what all worlds observe after the step.
-        """
-        after = [self._arrays[name][worlds] for name in self._first]
-        self._steps.append((worlds, action, reward, observation[worlds], *after))
-
-    def transitions(self, trials: int, offset: tuple[int, int]) -> TensorDictBase:
-        """All transitions ``[N]`` with the environment's entries, world after world.
-
-        World ``w`` played episode ``w % trials`` of member ``w // trials``, both counted
-        from ``offset``.
-        """
-        columns = [np.concatenate(column) for column in zip(*self._steps, strict=True)]
-        order = columns[0].argsort(kind="stable")
-        world, action, reward, observation, *after = (x[order] for x in columns)
-        begins = np.flatnonzero(np.diff(world, prepend=-1))
-        began = world[begins]
-        previous = np.arange(len(world)) - 1
-
-        def before(first: np.ndarray, later: np.ndarray) -> np.ndarray:
-            values = later[previous]
-            values[begins] = first[began]
-            return values
-
-        named = dict(zip(self._first, after, strict=True))
-        earlier = {name: before(self._first[name], x) for name, x in named.items()}
-        rows = self._env.entries(before(self._observed, observation), earlier)
-        following = self._env.entries(observation, named)
-        following.set(keys.REWARD, torch.from_numpy(reward)[:, None])
-        # An episode that goes on after its last step was cut off.
-        is_last = np.zeros(len(world), dtype=bool)
-        is_last[np.append(begins[1:], len(world)) - 1] = True
-        goes_on = ~following[keys.DONE].flatten()
-        mark_truncated(following, torch.from_numpy(is_last) & goes_on)
-        lengths = np.diff(begins, append=len(world))
-        added = {
-            keys.ACTION: action,
-            "member": offset[0] + world // trials,
-            "episode": offset[1] + world % trials,
-            "time": np.arange(len(world)) - np.repeat(begins, lengths),
-        }
-        for name, values in added.items():
-            rows.set(name, torch.from_numpy(values))
-        return rows.set("next", following)
+        return list(self.rules.final_keys.items())
