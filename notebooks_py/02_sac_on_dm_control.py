@@ -37,6 +37,7 @@ from torchrl.modules import (
 from torchrl.objectives import SACLoss, SoftUpdate
 from torchrl.trainers.algorithms import SACTrainer
 
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
@@ -121,11 +122,9 @@ evaluator = PopulationEvaluator(
 hook = GeneticHook(
     actor,
     evaluator,
-    num_children=3,
-    period_episodes=8,
-    std=0.1,
     # The task has no flag of success for the mutation probability to go by.
-    schedule=MutationSchedule(rates=(0.4,), thresholds=()),
+    MutatedChildren(3, std=0.1, schedule=MutationSchedule(rates=(0.4,), thresholds=())),
+    period_episodes=8,
     on_evaluation=[
         lambda found: print(
             f"evaluation {found.number}: returns "
@@ -149,7 +148,7 @@ before = mean_return()
 trainer.train()
 print(f"mean return {before:.1f} before, {mean_return():.1f} after {FRAMES} frames")
 print(
-    f"{hook.num_evaluations} evaluations, {hook.num_switches} switches, "
-    f"{hook.population_steps} population steps"
+    f"{hook.counts.evaluations} evaluations, {hook.counts.switches} switches, "
+    f"{hook.counts.steps} population steps"
 )
 evaluator.close()

@@ -25,6 +25,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
 
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
@@ -103,11 +104,9 @@ evaluator = PopulationEvaluator(
 hook = GeneticHook(
     actor,
     evaluator,
-    num_children=4,
-    period_episodes=4,
-    std=0.1,
     # The task has no flag of success for the mutation probability to go by.
-    schedule=MutationSchedule(rates=(0.4,), thresholds=()),
+    MutatedChildren(4, std=0.1, schedule=MutationSchedule(rates=(0.4,), thresholds=())),
+    period_episodes=4,
     on_evaluation=[
         lambda found: print(
             f"evaluation {found.number}: returns "
@@ -130,7 +129,7 @@ before = mean_return()
 trainer.train()
 print(f"mean return {before:.1f} before, {mean_return():.1f} after {FRAMES} frames")
 print(
-    f"{hook.num_evaluations} evaluations, {hook.num_switches} switches, "
-    f"{hook.population_steps} population steps"
+    f"{hook.counts.evaluations} evaluations, {hook.counts.switches} switches, "
+    f"{hook.counts.steps} population steps"
 )
 evaluator.close()

@@ -19,7 +19,9 @@ from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate
 from torchrl.trainers.algorithms import DQNTrainer
 
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.hooks.hand_over import HandOver
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
@@ -95,12 +97,10 @@ evaluator = PopulationEvaluator(
 hook = GeneticHook(
     actor,
     evaluator,
-    num_children=4,
-    period_episodes=20,
-    std=0.05,
     # The task has no flag of success for the mutation probability to go by.
-    schedule=MutationSchedule(rates=(0.4,), thresholds=()),
-    on_switch=[copy_to_target],
+    MutatedChildren(4, std=0.05, schedule=MutationSchedule(rates=(0.4,), thresholds=())),
+    period_episodes=20,
+    hand_over=HandOver(on_switch=[copy_to_target]),
     on_evaluation=[
         lambda found: print(
             f"evaluation {found.number}: returns "
@@ -123,7 +123,7 @@ before = mean_return()
 trainer.train()
 print(f"mean return {before:.1f} before, {mean_return():.1f} after {FRAMES} frames")
 print(
-    f"{hook.num_evaluations} evaluations, {hook.num_switches} switches, "
-    f"{hook.population_steps} population steps"
+    f"{hook.counts.evaluations} evaluations, {hook.counts.switches} switches, "
+    f"{hook.counts.steps} population steps"
 )
 evaluator.close()

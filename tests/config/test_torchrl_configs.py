@@ -18,7 +18,8 @@ from omegaconf.errors import MissingMandatoryValue
 from torchrl.envs import EnvBase
 
 from gdrl_torchrl.cli.torchrl_configs import GeneticHookConfig, register_torchrl_configs
-from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook
+from gdrl_torchrl.evolution.hooks.attach import NOT_ATTACHED, AttachedGeneticHook
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending" / "torchrl_hydra.md"
 SMALL = (
@@ -28,7 +29,7 @@ SMALL = (
     "genetic.period_episodes=5",
     "genetic.num_trials=1",
     "genetic.max_steps=50",
-    "genetic.std=1.0",
+    "genetic.mut_v=1.0",
 )
 
 
@@ -117,7 +118,7 @@ def test_a_trainer_takes_the_hook_by_name(composed):
     states = []
     trainer.register_op("post_steps", lambda: states.append(trainer.state_dict()))
     trainer.train()
-    assert states[-1]["genetic_hook"]["num_evaluations"] >= 1
+    assert states[-1]["genetic_hook"]["counts"]["evaluations"] >= 1
 
 
 @pytest.mark.parametrize("partial", ["true", "false"])
@@ -143,15 +144,19 @@ def test_a_wrong_type_is_refused_when_composed(composed):
 
 
 def test_every_option_of_the_hook_is_a_field_with_its_default():
-    options = inspect.signature(AttachedGeneticHook).parameters
+    own = inspect.signature(AttachedGeneticHook).parameters
+    defaults = {name: option.default for name, option in own.items() if name != "settings"}
+    settings = dataclasses.asdict(EvolutionConfig())
+    for name in NOT_ATTACHED:
+        del settings[name]
     config = OmegaConf.to_container(OmegaConf.structured(GeneticHookConfig))
     target = config.pop("_target_")
     assert target == f"{AttachedGeneticHook.__module__}.{AttachedGeneticHook.__name__}"
-    assert list(config) == list(options)
     assert config.pop("create_env_fn") == "???"
-    for name, value in config.items():
-        default = options[name].default
-        assert value == (list(default) if isinstance(default, tuple) else default), name
+    del defaults["create_env_fn"]
+    defaults["on_evaluation"] = list(defaults["on_evaluation"])
+    assert config == settings | defaults
+    AttachedGeneticHook(create_env_fn=lambda: None, **config)
 
 
 def test_functions_may_hear_of_evaluations(composed, capsys):

@@ -15,7 +15,9 @@ from pathlib import Path
 
 from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_torchrl.cli import train
-from gdrl_torchrl.evolution.hooks import genetic
+from gdrl_torchrl.evolution.hooks import hand_over as hand_over_module
+from gdrl_torchrl.evolution.hooks.hand_over import HandOver
+from gdrl_torchrl.evolution.operators import genome
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.files.metrics import MetricsTable
 from gdrl_torchrl.runs import checkpoint
@@ -121,18 +123,18 @@ def watch_evaluation(moment: Moment) -> None:
 
 
 def watch_hand_over(moment: Moment) -> None:
-    hand_over, install = genetic.GeneticHook._hand_over, genetic.install
+    hand_over, install = HandOver.install, genome.install
 
-    def hand_over_or_die(hook, *args):
+    def hand_over_or_die(part, *args):
         moment.kill_if_due("hand-over", 0)
-        hand_over(hook, *args)
+        hand_over(part, *args)
         moment.kill_if_due("hand-over", 2)
 
     def install_or_die(*args):
         install(*args)
         moment.kill_if_due("hand-over", 1)
 
-    genetic.GeneticHook._hand_over, genetic.install = hand_over_or_die, install_or_die
+    HandOver.install, hand_over_module.install = hand_over_or_die, install_or_die
 
 
 if __name__ == "__main__":

@@ -239,7 +239,7 @@ def test_an_experiment_needs_a_task_and_an_algorithm():
 def test_a_population_larger_than_its_worlds_takes_turns():
     options = ["evolution.num_children=4", "evolution.num_trials=3", "task.step_limit=3"]
     training = build_training(load_experiment([*options, "evolution.num_worlds=2"]))
-    evaluation = training.genetic.evaluate()
+    evaluation = training.evolution.evaluate()
     training.close()
     assert evaluation.scores.batch_size == (5,)
     assert evaluation.population_steps == 5 * 3 * 3

@@ -118,7 +118,7 @@ def make_dqn(actor_of, frames=FRAMES, *, apart=False, **options):
 
 def hook_for(create_env_fn, **options):
     small = {"num_children": 3, "period_episodes": 2, "num_trials": 1, "max_steps": 15}
-    strong = {"std": 1.0, "rates": [1.0], "thresholds": []}
+    strong = {"mut_v": 1.0, "rates": [1.0], "thresholds": []}
     return AttachedGeneticHook(create_env_fn=create_env_fn, **small | strong | options)
 
 
@@ -187,9 +187,9 @@ def test_a_stock_continuous_trainer_goes_on_with_the_winner(kind, request):
     populations = watch(hook.genetic)
     trainer.train()
     # Trajectories of 20 steps: in each of the six batches at least two of them end.
-    assert hook.genetic.num_evaluations == len(switches) == 6
+    assert hook.genetic.counts.evaluations == len(switches) == 6
     assert any(switches)
-    assert hook.genetic.num_switches == sum(switches)
+    assert hook.genetic.counts.switches == sum(switches)
     optimised = {id(p) for group in trainer.optimizer.param_groups for p in group["params"]}
     assert {id(parameter) for parameter in actor.parameters()} <= optimised
 
@@ -356,7 +356,7 @@ def test_options_reach_the_hook_and_its_evaluator(actor_of):
         max_steps=9,
         fitness="return",
         mutation="scaled",
-        std=0.3,
+        mut_v=0.3,
         rates=[0.5, 0.2],
         thresholds=[0.6],
         window_episodes=11,
@@ -369,12 +369,14 @@ def test_options_reach_the_hook_and_its_evaluator(actor_of):
     genetic, evaluator = hook.genetic, hook.genetic.evaluator
     assert genetic.actor is actor
     assert evaluator.env is env
-    assert (genetic.num_children, genetic.period_episodes) == (2, 7)
+    breeding = genetic.breeding
+    assert (breeding.num_children, genetic.period_episodes) == (2, 7)
     assert (evaluator.num_episodes, evaluator.max_steps) == (3, 9)
     assert (evaluator.fitness, evaluator.seed) == ("return", 5)
-    assert (genetic.mutation, genetic.std) == (scaled_mutation, 0.3)
-    assert [genetic.schedule(rate) for rate in (0.5, 0.6)] == [0.5, 0.2]
-    assert (genetic.window.size, genetic.own_share) == (11, 0.25)
+    assert (breeding.mutation, breeding.std) == (scaled_mutation, 0.3)
+    assert [breeding.schedule(rate) for rate in (0.5, 0.6)] == [0.5, 0.2]
+    assert genetic.watch.window.size == 11
+    assert genetic.hand_over.own_share == 0.25
     assert genetic.contest.tie_rule == "parent"
     assert genetic.generator.initial_seed() == 5
     found = genetic.evaluate()
@@ -392,7 +394,7 @@ def test_options_reach_the_hook_and_its_evaluator(actor_of):
         ({"rates": [0.5, 0.1]}, "rates="),
         ({"num_children": 0}, "num_children=0"),
         ({"period_episodes": 0}, "period_episodes=0"),
-        ({"num_trials": 0}, "num_episodes=0"),
+        ({"num_trials": 0}, "num_trials=0"),
         ({"fitness": "fame"}, "fitness='fame'"),
         ({"own_share": 1.0}, "own_share=1.0"),
     ],
@@ -413,17 +415,15 @@ def test_a_trainers_file_brings_the_hook_back(actor_of, tmp_path):
     one = hook_for(cartpole)
     one.register(first)
     first.train()
-    assert one.genetic.num_evaluations >= 1
+    assert one.genetic.counts.evaluations >= 1
 
     second, actor = make_dqn(actor_of, frames=400)
     two = hook_for(cartpole, seed=99)
     two.register(second)
-    assert two.genetic.num_evaluations == 0
+    assert two.genetic.counts.evaluations == 0
     second.load_from_file(file)
-    for name in ("num_evaluations", "num_switches", "population_steps"):
-        assert getattr(two.genetic, name) == getattr(one.genetic, name)
-    assert two.genetic.episodes_completed == one.genetic.episodes_completed
-    assert two.genetic.window.state_dict() == one.genetic.window.state_dict()
+    assert two.genetic.counts == one.genetic.counts
+    assert two.genetic.watch.state_dict() == one.genetic.watch.state_dict()
     # The same mutants of the same agent come next.
     assert same(weights(actor), TensorDict.from_module(first.loss_module.value_network))
     expected, shown = let_win(one.genetic, 0), let_win(two.genetic, 0)
@@ -446,6 +446,6 @@ def test_the_state_of_the_hook_is_that_of_the_hook_it_made(actor_of):
     mine, theirs = second.state_dict(), first.state_dict()
     assert torch.equal(mine.pop("generator"), theirs.pop("generator"))
     assert mine == theirs
-    assert mine["num_evaluations"] == 1
+    assert mine["counts"]["evaluations"] == 1
     for one in (trainer, other):
         one.collector.shutdown()

@@ -76,8 +76,8 @@ def test_the_best_live_on_and_the_champion_is_the_best_that_was_scored(start):
         assert (hook.population[:2] == scored[order[:2]]).all()
         assert best is None or float(fitness.max()) >= best, "elites cannot be lost"
         best = float(fitness.max())
-    assert hook.num_evaluations == 6
-    assert hook.population_steps == 6 * 30 * MEMBERS
+    assert hook.counts.evaluations == 6
+    assert hook.counts.steps == 6 * 30 * MEMBERS
 
 
 @pytest.mark.parametrize("period", [1, 3])
@@ -105,7 +105,7 @@ def test_the_agent_is_not_changed_and_counts_as_chosen_when_it_becomes_an_elite(
     evaluation = hook.evaluate()
     assert evaluation.switched
     assert evaluation.winner == evaluation.agent == MEMBERS - 1
-    assert hook.num_switches == 1
+    assert hook.counts.switches == 1
     assert (genome_of(hook.actor) == before).all()
 
 

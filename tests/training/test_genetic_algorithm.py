@@ -52,7 +52,7 @@ def start(actor_of):
         torch.manual_seed(0)
         actor = actor_of("q_value")
         first = stack_copies(genome_of(actor), MEMBERS)
-        return GeneticAlgorithm(actor, evaluator or NoisySphere(), first, **options)
+        return GeneticAlgorithm(evaluator or NoisySphere(), first, **options)
 
     return make
 
@@ -76,8 +76,8 @@ def test_the_best_few_play_again_and_all_steps_are_counted(start):
     assert algorithm.evaluator.calls == [(MEMBERS, 4), (3, 7)]
     assert algorithm.evaluator.episodes_drawn == 11
     assert evaluation.population_steps == 10 * (MEMBERS * 4 + 3 * 7)
-    assert algorithm.population_steps == evaluation.population_steps
-    assert len(algorithm.window) == 7
+    assert algorithm.counts.steps == evaluation.population_steps
+    assert len(algorithm.watch.window) == 7
 
 
 def test_validation_makes_a_noisy_choice_better(start):
@@ -112,7 +112,7 @@ def test_a_restored_population_goes_on_identically(start):
     for _ in range(3):
         second.evaluate()
     assert (second.population == whole.population).all()
-    assert second.population_steps == whole.population_steps
+    assert second.counts == whole.counts
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,14 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
 
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
+from gdrl_torchrl.evolution.hooks.contest import FullContest
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.hooks.parts import breeding_of, contest_of, hand_over_of
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
 
@@ -70,9 +75,27 @@ def actor(actor_of):
     return actor_of("tanh_normal")
 
 
-def hook_of(actor, evaluator, **options):
+def hook_of(
+    actor,
+    evaluator,
+    breeding=None,
+    *,
+    optimizer=None,
+    critic=None,
+    on_evaluation=(),
+    **settings,
+):
+    """A hook of two children, whose parts have these settings."""
+    settings = EvolutionConfig(**{"num_children": 2, "period_episodes": 4} | settings)
     return GeneticHook(
-        actor, evaluator, **{"num_children": 2, "period_episodes": 4} | options
+        actor,
+        evaluator,
+        breeding or breeding_of(settings, actor),
+        contest_of(settings),
+        hand_over_of(settings, actor, optimizer=optimizer, critic=critic),
+        watch=EpisodeWatch(settings.window_episodes),
+        period_episodes=settings.period_episodes,
+        on_evaluation=on_evaluation,
     )
 
 
@@ -103,14 +126,14 @@ def batch_of(*worlds):
 def test_only_completed_episodes_count_towards_the_period(actor):
     evaluator = ScriptedEvaluator(PARENT_WINS)
     hook = hook_of(actor, evaluator, period_episodes=3)
-    hook.observe(batch_of("0+22", "1-33"))
+    hook.watch.observe(batch_of("0+22", "1-33"))
     hook()
-    assert hook.episodes_completed == 2
+    assert hook.watch.episodes_completed == 2
     assert evaluator.num_evaluations == 0
-    hook.observe(batch_of("222", "333"))
+    hook.watch.observe(batch_of("222", "333"))
     hook()
     assert evaluator.num_evaluations == 0, "steps of running episodes do not count"
-    hook.observe(batch_of("2+44", "333"))
+    hook.watch.observe(batch_of("2+44", "333"))
     hook()
     assert evaluator.num_evaluations == 1
 
@@ -118,13 +141,13 @@ def test_only_completed_episodes_count_towards_the_period(actor):
 def test_one_evaluation_at_a_batch_boundary_however_many_periods_have_passed(actor):
     evaluator = ScriptedEvaluator(PARENT_WINS)
     hook = hook_of(actor, evaluator, period_episodes=2)
-    hook.observe(batch_of("0+2+4+6", "1-3-5-7"))
+    hook.watch.observe(batch_of("0+2+4+6", "1-3-5-7"))
     assert evaluator.num_evaluations == 0, "not before the update"
     hook()
     hook()
     assert evaluator.num_evaluations == 1
     # The count starts anew at the evaluation.
-    hook.observe(batch_of("6+8", "77"))
+    hook.watch.observe(batch_of("6+8", "77"))
     hook()
     assert evaluator.num_evaluations == 1
 
@@ -137,38 +160,49 @@ def test_a_trainer_that_collects_asynchronously_is_refused(actor):
         hook_of(actor, ScriptedEvaluator(PARENT_WINS)).register(Asynchronous())
 
 
-def test_without_a_period_it_only_watches(actor):
-    evaluator = ScriptedEvaluator(PARENT_WINS)
-    hook = hook_of(actor, evaluator, period_episodes=None)
-    hook.observe(batch_of("0+2+4+6", "1-3-5-7"))
-    hook()
-    assert (evaluator.num_evaluations, hook.episodes_completed) == (0, 6)
-    assert hook.window.running_rate == 0.5
+def test_a_watch_counts_by_itself():
+    watch = EpisodeWatch()
+    watch.observe(batch_of("0+2+4+6", "1-3-5-7"))
+    assert watch.episodes_completed == 6
+    assert watch.window.running_rate == 0.5
+    other = EpisodeWatch()
+    other.load_state_dict(watch.state_dict())
+    other.observe(batch_of("6+8", "77"))
+    assert other.episodes_completed == 7
+
+
+def test_a_bare_agent_has_a_watch_and_no_hook(tiny):
+    training = build_training(tiny("evolution=none"))
+    training.agent.trainer.total_frames = 40
+    training.agent.trainer.train()
+    assert training.evolution is None
+    assert training.watch.episodes_completed >= 1
+    training.close()
 
 
 def test_success_is_counted_in_the_order_of_the_start(actor):
     hook = hook_of(actor, ScriptedEvaluator(PARENT_WINS), window_episodes=2)
-    hook.observe(batch_of("000", "1+22", "444"))
-    assert hook.window.running_rate is None, "episode 0 is still running"
-    hook.observe(batch_of("0-55", "2-66", "444"))
+    hook.watch.observe(batch_of("000", "1+22", "444"))
+    assert hook.watch.window.running_rate is None, "episode 0 is still running"
+    hook.watch.observe(batch_of("0-55", "2-66", "444"))
     # 0 failed, 1 succeeded, 2 failed: the last two of these.
-    assert hook.window.rate == 0.5
+    assert hook.watch.window.rate == 0.5
 
 
 def test_mutation_follows_the_success_of_the_window(actor):
     hook = hook_of(actor, ScriptedEvaluator(PARENT_WINS), window_episodes=2)
     assert hook.evaluate().mut_p == 0.75, "until the window is full"
-    hook.observe(batch_of("0+2", "1+3"))
+    hook.watch.observe(batch_of("0+2", "1+3"))
     assert hook.evaluate().mut_p == 0.1
-    hook.observe(batch_of("2-4", "3+5"))
+    hook.watch.observe(batch_of("2-4", "3+5"))
     assert hook.evaluate().mut_p == 0.4
 
 
 def test_the_window_survives_a_switch(actor):
     hook = hook_of(actor, ScriptedEvaluator(CHILD_WINS), window_episodes=2)
-    hook.observe(batch_of("0+2", "1+3"))
+    hook.watch.observe(batch_of("0+2", "1+3"))
     assert hook.evaluate().switched
-    assert hook.window.rate == 1.0
+    assert hook.watch.window.rate == 1.0
 
 
 # Who
@@ -193,7 +227,8 @@ def test_the_mutation_gets_the_schedules_rate_and_the_given_noise(actor):
         seen.update(options)
         return genomes
 
-    hook_of(actor, ScriptedEvaluator(PARENT_WINS), mutation=mutation, std=0.3).evaluate()
+    breeding = MutatedChildren(2, mutation=mutation, std=0.3)
+    hook_of(actor, ScriptedEvaluator(PARENT_WINS), breeding).evaluate()
     assert (seen["mut_p"], seen["std"]) == (0.75, 0.3)
 
 
@@ -227,7 +262,7 @@ def test_the_winner_is_written_into_the_same_parameter_objects(actor):
     assert {name: id(value) for name, value in actor.named_parameters()} == objects
     assert (genome_of(actor) == evaluator.populations[0][2]).all()
     assert (actor.module[0].module[-1].state_independent_scale == scale).all()
-    assert (hook.num_evaluations, hook.num_switches) == (1, 1)
+    assert (hook.counts.evaluations, hook.counts.switches) == (1, 1)
 
 
 def test_a_parent_that_wins_is_left_alone(actor):
@@ -244,7 +279,7 @@ def test_a_parent_that_wins_is_left_alone(actor):
     assert not hook.evaluate().switched
     assert (genome_of(actor) == genome).all()
     assert len(optimizer.state) == moments > 0
-    assert hook.num_switches == 0
+    assert hook.counts.switches == 0
 
 
 def take_a_step(module, optimizer, *, weight=1.0):
@@ -258,9 +293,9 @@ def test_the_moments_of_the_actor_alone_are_reset_on_a_switch(choice, tiny):
     seed_everything(0)
     training = build_training(tiny(f"evolution.optimizer_on_switch={choice}"))
     training.agent.trainer.total_frames = 40
-    training.genetic.period_episodes = None
+    training.evolution.period_episodes = 1_000_000
     training.agent.trainer.train()
-    optimizer, hook = training.agent.optimizer, training.genetic
+    optimizer, hook = training.agent.optimizer, training.evolution
     actor = {id(p) for p in training.agent.actor.parameters()}
     before = {id(p) for p in optimizer.state}
     assert actor < before, "the optimiser holds the actor's own parameters"
@@ -316,23 +351,23 @@ def test_evaluations_in_which_no_fitness_is_a_number_are_counted(actor):
     before = genome_of(actor)
     assert not hook.evaluate().switched
     assert (genome_of(actor) == before).all()
-    assert hook.num_without_fitness == 1
+    assert hook.counts.without_fitness == 1
     assert hook.evaluate().switched
     hook.evaluate()
-    assert hook.num_without_fitness == 2
+    assert hook.counts.without_fitness == 2
     other = hook_of(actor, ScriptedEvaluator(CHILD_WINS))
     other.load_state_dict(hook.state_dict())
-    assert other.num_without_fitness == 2
+    assert other.counts.without_fitness == 2
 
 
 def test_the_collector_acts_with_the_new_weights(tiny):
     seed_everything(0)
     training = build_training(tiny())
-    training.genetic.evaluator = ScriptedEvaluator(CHILD_WINS)
+    training.evolution.evaluator = ScriptedEvaluator(CHILD_WINS)
     batches = iter(training.agent.trainer.collector)
     next(batches)
     before = genome_of(training.agent.actor)
-    assert training.genetic.evaluate().switched
+    assert training.evolution.evaluate().switched
     batch = next(batches)
     observation = batch["observation"]
     new = training.agent.actor.get_dist_params(
@@ -351,7 +386,7 @@ def test_population_steps_are_counted(actor):
     hook = hook_of(actor, ScriptedEvaluator(PARENT_WINS, frames=7))
     assert hook.evaluate().population_steps == 21
     hook.evaluate()
-    assert hook.population_steps == 42
+    assert hook.counts.steps == 42
 
 
 def test_callbacks_hear_of_every_evaluation(actor):
@@ -375,12 +410,12 @@ def test_a_restored_hook_goes_on_identically(actor_of):
 
     def go_on(hook, batches):
         for batch in batches:
-            hook.observe(batch)
+            hook.watch.observe(batch)
             hook()
 
     whole = start()
     go_on(whole, batches)
-    assert whole.num_evaluations == 3
+    assert whole.counts.evaluations == 3
     for cut in (0, 1, 2):
         first, second = start(), start()
         go_on(first, batches[:cut])
@@ -404,13 +439,13 @@ def test_episodes_numbered_anew_after_a_restart_do_not_stop_it(trajectories_from
         return made
 
     hook = hook_of(actor, ScriptedEvaluator(PARENT_WINS), window_episodes=2)
-    hook.observe(batch("0+22", "1-33"))
+    hook.watch.observe(batch("0+22", "1-33"))
     restored = hook_of(actor, ScriptedEvaluator(PARENT_WINS), window_episodes=2)
     restored.load_state_dict(hook.state_dict())
     # The episodes that were running are gone; new ones begin with number 0.
-    restored.observe(batch("0+22", "1+33"))
-    assert restored.episodes_completed == 4
-    assert restored.window.rate == 1.0
+    restored.watch.observe(batch("0+22", "1+33"))
+    assert restored.watch.episodes_completed == 4
+    assert restored.watch.window.rate == 1.0
 
 
 @pytest.mark.parametrize(
@@ -420,7 +455,7 @@ def test_episodes_numbered_anew_after_a_restart_do_not_stop_it(trajectories_from
         ({"period_episodes": 0}, "period_episodes=0"),
         ({"optimizer_on_switch": "reset"}, "optimizer_on_switch='reset'"),
         ({"critic_on_switch": "reset"}, "critic_on_switch='reset'"),
-        ({"window_episodes": 0}, "size=0"),
+        ({"window_episodes": 0}, "window_episodes=0"),
     ],
 )
 def test_bad_options_are_named(options, message, actor):
@@ -474,25 +509,25 @@ def test_it_registers_on_torchrls_own_ppo_trainer():
     hook = GeneticHook(
         actor,
         evaluator,
-        num_children=2,
+        MutatedChildren(2),
+        FullContest("child"),
         period_episodes=2,
-        tie_rule="child",
-        window_episodes=3,
+        watch=EpisodeWatch(3),
         on_evaluation=[heard.append],
     )
     hook.register(trainer)
     trainer.train()
-    assert hook.episodes_completed >= 6
+    assert hook.watch.episodes_completed >= 6
     assert 2 <= len(heard) <= 3, "at most one evaluation a batch"
-    assert hook.population_steps == sum(e.population_steps for e in heard) > 0
+    assert hook.counts.steps == sum(e.population_steps for e in heard) > 0
     assert all((e.scores["steps"] <= 25).all() for e in heard)
-    assert hook.num_switches == sum(e.switched for e in heard)
+    assert hook.counts.switches == sum(e.switched for e in heard)
     evaluator.close()
 
 
 def test_the_trainer_keeps_the_hooks_state(tiny):
     training = build_training(tiny())
-    training.genetic.num_evaluations = 4
+    training.evolution.counts.evaluations = 4
     state = training.agent.trainer.state_dict()
     assert any("genetic_hook" in str(key) for key in _keys(state))
     training.agent.trainer.collector.shutdown()

@@ -88,7 +88,7 @@ def test_nothing_is_learnt_while_the_buffer_warms_up(training_of):
     training = training_of("algorithm.warmup_steps=70")
     before = genome_of(training.agent.actor)
     trainer, learner = training.agent.trainer, training.agent.parts["learner"]
-    training.genetic.period_episodes = None
+    training.evolution.period_episodes = 1_000_000
     trainer.total_frames = 40
     trainer.train()
     assert learner.num_updates == 0
@@ -211,10 +211,10 @@ def test_a_switch_moves_the_target_and_shares_experience(winner, training_of):
     training = training_of("evolution.target_tau=0.1", "evolution.experience_share=0.1")
     collected(training, 1)
     learner, loss = training.agent.parts["learner"], training.agent.loss
-    training.genetic.evaluator = ScriptedEvaluator(winner)
+    training.evolution.evaluator = ScriptedEvaluator(winner)
     target = loss.target_value_network_params.data.clone()
     online = loss.value_network_params.data.clone()
-    evaluation = training.genetic.evaluate()
+    evaluation = training.evolution.evaluate()
     assert evaluation.switched == (winner != 0)
     expected = target.clone()
     for key in target.keys(True, True):
@@ -239,7 +239,7 @@ def test_a_switch_moves_the_target_and_shares_experience(winner, training_of):
 
 def test_without_a_share_no_transitions_are_kept(training_of):
     training = training_of("evolution.experience_share=0")
-    assert training.genetic.share_experience is None
+    assert training.evolution.hand_over.share_experience is None
 
 
 def test_a_restored_learner_goes_on_bit_by_bit(training_of):

@@ -87,7 +87,7 @@ def test_the_result_is_the_champion(name, small, monkeypatch):
 
     monkeypatch.setattr(run, "build_training", build_and_note)
     run_experiment(small(name, "budget.total_steps=300", "budget.agent_steps=200"))
-    champion = trained[0].genetic.final_genome()
+    champion = trained[0].evolution.final_genome()
     weights = dict(champions[0].named_parameters())
     for key in champion.keys(True, True):
         path = key if isinstance(key, str) else ".".join(key)

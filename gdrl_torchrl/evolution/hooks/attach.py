@@ -77,6 +77,8 @@ class AttachedGeneticHook(TrainerHookBase):
     ) -> None:
         if unknown := sorted(settings.keys() & set(NOT_ATTACHED)):
             raise TypeError(f"{unknown} cannot be given to a hook that is attached")
+        # Configurations have sequences of a kind of their own.
+        settings |= {n: [*settings[n]] for n in ("rates", "thresholds") if n in settings}
         self.settings = EvolutionConfig(fitness=fitness, target_tau=target_tau, **settings)
         self.genetic: GeneticHook | None = None
         self._options: dict[str, Any] = {"seed": seed, "on_evaluation": on_evaluation}
