@@ -2,8 +2,8 @@
 
 A :class:`NavigationTask` is written once and runs on two engines: many worlds on
 ``mujoco.batch`` (:mod:`gdrl_tasks.engines.batch`) and one world in dm_control
-(:mod:`gdrl_tasks.engines.dm_env`). Both keep the same arrays, with a leading world axis ``W``,
-and call the same methods.
+(:mod:`gdrl_tasks.engines.dm_env`). Both keep the same arrays, with a leading world axis
+``W``, and call the same methods.
 """
 
 from __future__ import annotations

@@ -348,7 +348,7 @@ def test_other_held_out_worlds_evaluate_again_without_training(
 def test_a_run_of_another_version_of_runs_needs_force(finished, tiny, monkeypatch, rows_of):
     path = run_experiment(tiny("budget.agent_steps=40"))
     for module in ("run", "run_directory", "provenance"):
-        monkeypatch.setattr(f"gdrl_torchrl.training.{module}.RUN_VERSION", 99)
+        monkeypatch.setattr(f"gdrl_torchrl.runs.{module}.RUN_VERSION", 99)
     steps = 40 if finished else 80
     before = (path / "metrics.csv").read_bytes()
     with pytest.raises(RunDirectoryError, match="force=true") as refused:

@@ -38,8 +38,8 @@ class RainbowLoss(DistributionalDQNLoss):
 
     Args:
         value_network: An actor of
-            :func:`~gdrl_torchrl.agents.rainbow.network.make_q_actor` or one like it, with an
-            evenly spaced support.
+            :func:`~gdrl_torchrl.agents.rainbow.network.make_q_actor` or one like it, with
+            an evenly spaced support.
         gamma: Discount per step.
 
     Raises:

@@ -77,9 +77,9 @@ class FullContest:
 class PairedContest:
     """A child wins only if a paired test on common episodes says that it is better.
 
-    See :class:`~gdrl_torchrl.evolution.operators.paired.HalvingPlan`: most children are dropped
-    after a few episodes, and only the last one meets the parent. A test whose mean
-    difference is not positive after a look ends there.
+    See :class:`~gdrl_torchrl.evolution.operators.paired.HalvingPlan`: most children are
+    dropped after a few episodes, and only the last one meets the parent. A test whose
+    mean difference is not positive after a look ends there.
 
     Fitness is that of the evaluator over each member's own episodes, of which members
     that stayed longer had more; goals are counted per ``num_episodes``.

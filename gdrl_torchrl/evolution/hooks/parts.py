@@ -1,4 +1,4 @@
-"""The parts of a :class:`~gdrl_torchrl.evolution.hooks.genetic.GeneticHook`, from settings."""
+"""The parts of a genetic hook, made of its settings."""
 
 from __future__ import annotations
 

@@ -196,8 +196,8 @@ class PopulationEvaluator(Transform):
         """Score a population.
 
         Args:
-            params: Genomes ``[P]``, as :func:`~gdrl_torchrl.evolution.operators.genome.genome_of`
-                names them.
+            params: Genomes ``[P]``, as
+                :func:`~gdrl_torchrl.evolution.operators.genome.genome_of` names them.
             seeds: Episode seeds ``[S]``, int64; None draws fresh ones.
 
         Returns:
