@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from gdrl_torchrl.config.checks import (
+from gdrl_torchrl.checks import (
     among,
     check_fields,
     check_weights,

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.checks import check_choice
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
 from gdrl_torchrl.cli.shared.compose import check_plain, merge_task
 from gdrl_torchrl.config.algorithms import algorithm_configs
-from gdrl_torchrl.config.checks import check_choice
 from gdrl_torchrl.config.options import nearest, wrong_type
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class

@@ -10,9 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from gdrl_torchrl.checks import check_choice
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
 from gdrl_torchrl.cli.shared.compose import merge_task
-from gdrl_torchrl.config.checks import check_choice
 
 _PARSER = CommandParser(
     "gdrl-replay",

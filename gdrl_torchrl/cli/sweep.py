@@ -16,9 +16,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
+from gdrl_torchrl.checks import check_folder
 from gdrl_torchrl.cli.shared.arguments import fail, one_line
 from gdrl_torchrl.cli.shared.errors import check_known, check_known_to_hydra, explained
-from gdrl_torchrl.config.checks import check_folder
 
 failed: list[str] = []
 """What is said of the jobs of this process's sweep that failed."""

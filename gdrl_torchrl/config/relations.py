@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from gdrl_torchrl.agents.ga.settings import GAConfig
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
-from gdrl_torchrl.config.checks import num_weights
+from gdrl_torchrl.checks import num_weights
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
 

@@ -10,7 +10,7 @@ import dataclasses
 from typing import Any
 
 from gdrl_torchrl.agents.settings import NetworkConfig
-from gdrl_torchrl.config.checks import (
+from gdrl_torchrl.checks import (
     MOST_EPISODES,
     MOST_SEED,
     MOST_STEPS,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from gdrl_torchrl.config.checks import (
+from gdrl_torchrl.checks import (
     MOST_EPISODES,
     MOST_SEED,
     MOST_STEPS,

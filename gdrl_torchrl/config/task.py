@@ -10,7 +10,7 @@ import typing
 from typing import TYPE_CHECKING, Any, Literal
 
 from gdrl_tasks import make_task, task_options
-from gdrl_torchrl.config.checks import check_choice
+from gdrl_torchrl.checks import check_choice
 
 if TYPE_CHECKING:
     from gdrl_tasks import NavigationTask

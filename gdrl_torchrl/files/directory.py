@@ -6,15 +6,13 @@ import contextlib
 import dataclasses
 import json
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.files.errors import RunDirectoryError, RunInUseError
 from gdrl_torchrl.files.fields import COUNT, OBJECT, SECONDS, TEXT, Kind, read_object
 from gdrl_torchrl.files.safe_files import aside_of, locked, written_aside
-from gdrl_torchrl.runs.place import RUN_VERSION, differing_packages, provenance, run_key
 
 _logger = logging.getLogger(__name__)
 _VERSIONS = Kind(
@@ -51,12 +49,6 @@ class RunDirectory:
     """``<runs_dir>/<name>/<key>/seed_<seed>``."""
 
     path: Path
-
-    @classmethod
-    def of(cls, config: ExperimentConfig) -> RunDirectory:
-        """The directory that belongs to a configuration; nothing is created."""
-        parts = (config.name, run_key(config), f"seed_{config.seed}")
-        return cls(Path(config.runs_dir).joinpath(*parts))
 
     @property
     def checkpoints(self) -> Path:
@@ -105,50 +97,10 @@ class RunDirectory:
                 f"{error}: remove this file to go on without it"
             ) from error
 
-    def open(self, config: ExperimentConfig, overrides: Sequence[str] = ()) -> None:
-        """Create the directory, or check that it may go on.
-
-        Packages that numbers depend on and that have changed are named in a warning.
-
-        Args:
-            config: The configuration.
-            overrides: What was given on the command line; kept beside it.
-
-        Raises:
-            RunDirectoryError: If it is of another version of runs and ``force`` is not
-                set.
-        """
-        self.path.mkdir(parents=True, exist_ok=True)
-        # What a killed process, or one on a full disk, had not finished.
+    def clean(self) -> None:
+        """Remove what a killed process, or one on a full disk, had not finished."""
         for name in _WRITTEN:
             aside_of(self.path / name).unlink(missing_ok=True)
-        known, here = self.read_json("provenance.json"), provenance()
-        before: list[Any] = []
-        if known is not None:
-            self.check_version(known, force=config.force)
-            if differing := differing_packages(known, here):
-                _logger.warning(
-                    "%s was written with %s: its numbers may differ from here on from "
-                    "those of a run of one version",
-                    self.path,
-                    ", ".join(differing),
-                )
-            before = known.pop("before", [])
-            if known != here:
-                before = [*before, known]
-        self.write_json("provenance.json", here | {"before": before})
-        self.write_json("config.json", dataclasses.asdict(config))
-        self.write_json("overrides.json", {"overrides": list(overrides)})
-
-    def check_version(self, found: Mapping[str, Any], *, force: bool) -> None:
-        """Raise RunDirectoryError if a file of the run is of another version of runs."""
-        version = found.get("version", 0)
-        if version != RUN_VERSION and not force:
-            raise RunDirectoryError(
-                f"{self.path} was written by version {version} of runs, this is version "
-                f"{RUN_VERSION}, whose results or files differ: pass force=true to go on "
-                "with it all the same, or remove the directory to start anew"
-            )
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:

@@ -15,6 +15,7 @@ from gdrl_torchrl.envs.make import OnDivergence
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.hooks.base import Evolution
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
+from gdrl_torchrl.runs.build_evolution import make_evolution
 
 
 @dataclasses.dataclass

@@ -1,4 +1,4 @@
-"""What a run was made with, and whether what is here may go on with it."""
+"""Where a run is, what it was made with, and whether what is here may go on with it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+import logging
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import gdrl_tasks
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.errors import RunDirectoryError
+
+_logger = logging.getLogger(__name__)
 
 RUN_VERSION = 1
 """Version of what runs compute and of the state that they go on from.
@@ -143,3 +148,57 @@ def run_key(config: ExperimentConfig) -> str:
         content["evolution"] = {"enabled": False}
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def directory_of(config: ExperimentConfig) -> RunDirectory:
+    """The directory that belongs to a configuration; nothing is created."""
+    parts = (config.name, run_key(config), f"seed_{config.seed}")
+    return RunDirectory(Path(config.runs_dir).joinpath(*parts))
+
+
+def open_directory(
+    directory: RunDirectory, config: ExperimentConfig, overrides: Sequence[str] = ()
+) -> None:
+    """Create a directory, or check that it may go on.
+
+    Packages that numbers depend on and that have changed are named in a warning.
+
+    Args:
+        directory: The directory.
+        config: The configuration.
+        overrides: What was given on the command line; kept beside it.
+
+    Raises:
+        RunDirectoryError: If it is of another version of runs and ``force`` is not set.
+    """
+    path = directory.path
+    path.mkdir(parents=True, exist_ok=True)
+    directory.clean()
+    known, here = directory.read_json("provenance.json"), provenance()
+    before: list[Any] = []
+    if known is not None:
+        _check_version(path, known, force=config.force)
+        if differing := differing_packages(known, here):
+            _logger.warning(
+                "%s was written with %s: its numbers may differ from here on from those "
+                "of a run of one version",
+                path,
+                ", ".join(differing),
+            )
+        before = known.pop("before", [])
+        if known != here:
+            before = [*before, known]
+    directory.write_json("provenance.json", here | {"before": before})
+    directory.write_json("config.json", dataclasses.asdict(config))
+    directory.write_json("overrides.json", {"overrides": list(overrides)})
+
+
+def _check_version(path: Path, found: Mapping[str, Any], *, force: bool) -> None:
+    """Raise RunDirectoryError if a file of a run is of another version of runs."""
+    version = found.get("version", 0)
+    if version != RUN_VERSION and not force:
+        raise RunDirectoryError(
+            f"{path} was written by version {version} of runs, this is version "
+            f"{RUN_VERSION}, whose results or files differ: pass force=true to go on "
+            "with it all the same, or remove the directory to start anew"
+        )

@@ -33,7 +33,13 @@ from gdrl_torchrl.runs.errors import (
     system_errors_named,
 )
 from gdrl_torchrl.runs.monitor import RunMonitor, columns_of, is_spent
-from gdrl_torchrl.runs.place import RUN_VERSION, code_version, run_key
+from gdrl_torchrl.runs.place import (
+    RUN_VERSION,
+    code_version,
+    directory_of,
+    open_directory,
+    run_key,
+)
 from gdrl_torchrl.runs.report import _make_logger, report_run
 from gdrl_torchrl.runs.signals import StoppedError, StopSignals
 
@@ -60,7 +66,7 @@ def run_experiment(config: ExperimentConfig, overrides: Sequence[str] = ()) -> P
     """
     # What is wrong is said before anything is written.
     make_task_of(config)
-    directory = RunDirectory.of(config)
+    directory = directory_of(config)
     signals = StopSignals()
     with system_errors_named(directory.path):
         # Without the lock, which is a file: the disk may be one that is only read.
@@ -106,7 +112,7 @@ def _bring_to_its_end(
     """
     if _is_complete(directory, config):
         return
-    directory.open(config, overrides)
+    open_directory(directory, config, overrides)
     directory.done.unlink(missing_ok=True)
     directory.failed.unlink(missing_ok=True)
     try:

@@ -18,8 +18,8 @@ from omegaconf import OmegaConf
 
 from gdrl_torchrl.cli.shared.compose import CONFIG_MODULE, load_experiment, register_configs
 from gdrl_torchrl.cli.train import check_launcher
-from gdrl_torchrl.files.directory import RunDirectory
 from gdrl_torchrl.files.run_table import find_runs, run_row
+from gdrl_torchrl.runs.place import directory_of
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 CONF = resources.files("gdrl_torchrl.conf")
@@ -78,7 +78,7 @@ def test_every_job_of_a_sweep_is_valid_and_has_a_directory_of_its_own(name):
     # Seeds differ in nothing but the last part of the path: one of each is enough.
     first = [job for job in jobs if not any("seed=" in o and o != "seed=0" for o in job)]
     configs = [load_experiment([f"+sweep={name}", *job]) for job in first]
-    paths = {RunDirectory.of(config).path for config in configs}
+    paths = {directory_of(config).path for config in configs}
     assert len(paths) == len(first)
     assert all(path.parts[1] == name for path in paths)
 
@@ -160,7 +160,7 @@ def test_jobs_in_other_processes_tell_their_directories_and_their_errors(tmp_pat
 def test_a_run_that_another_process_holds_is_passed_over(tmp_path):
     axes = ("experiment=ppo_water", "seed=0,1")
     overrides = [axes[0], "seed=0", *SMALL, f"runs_dir={tmp_path}"]
-    held = RunDirectory.of(load_experiment(overrides))
+    held = directory_of(load_experiment(overrides))
     with held.locked():
         job = sweep(tmp_path, *axes)
         printed, said = job.communicate(timeout=300)

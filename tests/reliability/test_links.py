@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.files.directory import RunDirectory
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.faults import FaultFiles
 from gdrl_torchrl.files.metrics import MetricsTable
@@ -18,6 +17,7 @@ from gdrl_torchrl.files.run_table import run_row
 from gdrl_torchrl.files.safe_files import locked, open_own, written_aside
 from gdrl_torchrl.files.trajectories import save_trajectories
 from gdrl_torchrl.pictures import style
+from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
 from gdrl_torchrl.runs.tensorboard import ResumedTensorboardLogger
 
@@ -72,7 +72,7 @@ REPLACED = (
 
 @pytest.mark.parametrize("name", FOLDERS)
 def test_a_folder_that_is_a_link_is_refused_without_loss(name, config, outside):
-    run = RunDirectory.of(config).path
+    run = directory_of(config).path
     linked(run, name, outside)
     with pytest.raises(RunDirectoryError, match=f"is a link.*runs_dir.*{name}"):
         run_experiment(config)
@@ -83,7 +83,7 @@ def test_a_folder_that_is_a_link_is_refused_without_loss(name, config, outside):
 
 @pytest.mark.parametrize("name", WRITTEN_INTO)
 def test_a_file_that_is_a_link_is_not_written_into(name, config, outside):
-    run = RunDirectory.of(config).path
+    run = directory_of(config).path
     for target in (outside / "mine", outside / "new"):
         path = linked(run, name, target)
         with pytest.raises(RunDirectoryError, match=f"is a link.*{name}"):
@@ -92,7 +92,7 @@ def test_a_file_that_is_a_link_is_not_written_into(name, config, outside):
 
 
 def test_what_is_written_anew_takes_the_place_of_links(config, outside):
-    run = RunDirectory.of(config).path
+    run = directory_of(config).path
     for name in REPLACED:
         linked(run, name, outside / "mine")
     assert run_experiment(config) == run
@@ -104,7 +104,7 @@ def test_what_is_written_anew_takes_the_place_of_links(config, outside):
 
 
 def test_a_run_directory_may_be_a_link_itself(config, tmp_path):
-    run, scratch = RunDirectory.of(config).path, tmp_path / "scratch"
+    run, scratch = directory_of(config).path, tmp_path / "scratch"
     scratch.mkdir()
     run.parent.mkdir(parents=True)
     run.symlink_to(scratch)
@@ -115,7 +115,7 @@ def test_a_run_directory_may_be_a_link_itself(config, tmp_path):
 
 @pytest.mark.parametrize("name", [".lock", "metrics.csv", "config.json", "DONE"])
 def test_a_pipe_is_waited_for_by_nobody(name, config):
-    run = RunDirectory.of(config).path
+    run = directory_of(config).path
     run.mkdir(parents=True)
     os.mkfifo(run / name)
     if name == "config.json":
@@ -136,7 +136,7 @@ def test_a_run_that_was_copied_by_links_leaves_its_original_alone(config, tmp_pa
         target = copy / path.relative_to(original)
         target.parent.mkdir(parents=True, exist_ok=True)
         os.link(path, target)
-    again = RunDirectory.of(config).path
+    again = directory_of(config).path
     again.rename(tmp_path / "aside")
     copy.rename(again)
     config.budget.agent_steps = 160

@@ -13,7 +13,7 @@ from gdrl_torchrl.files import safe_files
 from gdrl_torchrl.files.directory import RunDirectory
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.metrics import MetricsTable
-from gdrl_torchrl.runs.place import run_key
+from gdrl_torchrl.runs.place import directory_of, open_directory, run_key
 
 OTHER_WORDS = {
     "difficulty": "far",
@@ -109,13 +109,13 @@ def test_options_of_an_evolution_that_is_off_are_not_in_the_key(tiny):
 
 def test_the_path_names_the_run(tiny, tmp_path):
     config = tiny("seed=3")
-    parts = RunDirectory.of(config).path.relative_to(tmp_path / "runs").parts
+    parts = directory_of(config).path.relative_to(tmp_path / "runs").parts
     assert parts == ("gppo_water", run_key(config), "seed_3")
     assert not (tmp_path / "runs").exists(), "asking creates nothing"
 
 
 def test_a_directory_in_use_is_refused_and_free_afterwards(tiny):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     with directory.locked():
         again = RunDirectory(directory.path).locked()
         with pytest.raises(RunDirectoryError, match="in use") as refused:
@@ -126,7 +126,7 @@ def test_a_directory_in_use_is_refused_and_free_afterwards(tiny):
 
 
 def test_a_failure_inside_frees_the_lock(tiny):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     with pytest.raises(ZeroDivisionError), directory.locked():
         raise ZeroDivisionError
     with directory.locked():
@@ -134,7 +134,7 @@ def test_a_failure_inside_frees_the_lock(tiny):
 
 
 def test_a_run_directory_that_is_no_folder_is_named(tiny, tmp_path):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     directory.path.parent.mkdir(parents=True)
     # As of a disk that is not mounted.
     directory.path.symlink_to(tmp_path / "nowhere")
@@ -143,17 +143,17 @@ def test_a_run_directory_that_is_no_folder_is_named(tiny, tmp_path):
 
 
 def test_a_damaged_file_is_named(tiny):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     with directory.locked():
-        directory.open(tiny())
+        open_directory(directory, tiny())
         (directory.path / "provenance.json").write_text('{"code": ')
         with pytest.raises(RunDirectoryError, match=r"provenance\.json"):
-            directory.open(tiny())
+            open_directory(directory, tiny())
 
 
 @pytest.mark.parametrize("name", ["provenance.json", "metrics.csv"])
 def test_a_file_that_the_system_cannot_read_is_not_to_be_removed(name, tiny, monkeypatch):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     directory.path.mkdir(parents=True)
     (directory.path / name).write_text("{}")
     table = MetricsTable(directory.metrics, COLUMNS)
@@ -169,7 +169,7 @@ def test_a_file_that_the_system_cannot_read_is_not_to_be_removed(name, tiny, mon
 
 
 def test_files_are_written_whole(tiny):
-    directory = RunDirectory.of(tiny())
+    directory = directory_of(tiny())
     directory.path.mkdir(parents=True)
     directory.write_json("a.json", {"x": 1})
     with pytest.raises(TypeError):

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from gdrl_torchrl.files.directory import RunDirectory
 from gdrl_torchrl.runs.phases import PHASES
+from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
 
 SHOWN = "logger.tensorboard=true"
@@ -90,7 +90,7 @@ def test_a_table_of_fewer_columns_is_gone_on_with(tiny, rows_of):
         writer.writeheader()
         writer.writerows(rows)
     config = tiny("budget.agent_steps=200")
-    assert RunDirectory.of(config).path == begun
+    assert directory_of(config).path == begun
     run_experiment(config)
     now = table_of(begun)
     assert len(now) == 5

@@ -49,7 +49,8 @@ def check_batch(batch: TensorDictBase) -> TensorDictBase:
         >>> check_batch(TensorDict(next={"reward": reward}, batch_size=[2, 2]))
         Traceback (most recent call last):
         gdrl_torchrl.agents.collectors.finite_batches.NonFiniteBatchError: \
-        next.reward=inf of world 1, in its step 1 of a batch, must be finite: the task gave it
+        next.reward=inf of world 1, in its step 1 of a batch, must be finite: the task \
+        gave it
     """
     found = {key: batch.get(key, None) for key in _CHECKED}
     broken = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
-from gdrl_torchrl.config.checks import (
+from gdrl_torchrl.checks import (
     MOST_WORLDS,
     among,
     check_at_most,

@@ -6,7 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from gdrl_torchrl.agents.settings import check_whole_rows
-from gdrl_torchrl.config.checks import (
+from gdrl_torchrl.checks import (
     MOST_WORLDS,
     among,
     check_at_most,
