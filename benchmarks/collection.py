@@ -29,9 +29,9 @@ from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.base import Agent
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
-from gdrl_torchrl.agents.registry import algorithm_of
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.relations import make_task_of
+from gdrl_torchrl.runs import build
 from gdrl_torchrl.runs.checkpoint import seed_everything
 
 EXPERIMENTS = {"indoor": "grainbow_indoor", "water": "gppo_water"}
@@ -69,7 +69,7 @@ def make_agent(name: str, worlds: int, threads: int) -> tuple[Agent, NavigationT
     config = dataclasses.replace(config, algorithm=changed)
     seed_everything(config.seed)
     task = make_task_of(config)
-    return algorithm_of(config).make_agent(config, task), task, frames
+    return build.make_agent(task, config), task, frames
 
 
 def collector_and_engine(

@@ -169,7 +169,7 @@ def make_population(name: str) -> tuple:
         algorithm=RainbowConfig() if task.spec.is_discrete else PPOConfig(),
         network=NETWORKS[task.spec.is_discrete],
     )
-    actor = make_actor(task, config)
+    actor = make_actor(task, config.network, config.algorithm)
     genomes = stack_copies(genome_of(actor), MEMBERS)
     generator = torch.Generator().manual_seed(0)
     return actor, bernoulli_mutation(genomes, mut_p=0.75, std=0.1, generator=generator)

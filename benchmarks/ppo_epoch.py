@@ -25,11 +25,11 @@ from benchmarks.common import finish, measure, ratio, show
 from benchmarks.plain_ppo import PPO, Collected, Networks, before_tanh
 from gdrl_tasks import make_task
 from gdrl_torchrl.agents.base import Agent
-from gdrl_torchrl.agents.ppo.agent import make_ppo_agent
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
+from gdrl_torchrl.runs.build import make_agent as make_agent_of
 
 TOLERANCE = 1e-5
 """Largest difference, relative to the largest entry, that counts as rounding."""
@@ -46,7 +46,7 @@ def make_agent() -> Agent:
     config = ExperimentConfig(
         task=task_config_class("water")(), algorithm=PPOConfig(), network=NetworkConfig()
     )
-    return make_ppo_agent(config, make_task("water"))
+    return make_agent_of(make_task("water"), config)
 
 
 def collect(agent: Agent) -> TensorDictBase:

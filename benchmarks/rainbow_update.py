@@ -34,13 +34,13 @@ from gdrl_tasks import make_task
 from gdrl_torchrl.agents.rainbow.agent import (
     RainbowLearner,
     make_rainbow_actor,
-    make_rainbow_agent,
 )
 from gdrl_torchrl.agents.rainbow.loss import resample_noise
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
+from gdrl_torchrl.runs.build import make_agent
 
 WIDTH = 64
 TRANSITIONS = 20_000
@@ -64,7 +64,7 @@ def make_learner(exploration: str) -> tuple[ExperimentConfig, RainbowLearner]:
         ),
         network=NetworkConfig(actor_cells=[WIDTH, WIDTH], activation="relu"),
     )
-    agent: Any = make_rainbow_agent(config, make_task("indoor"))
+    agent: Any = make_agent(make_task("indoor"), config)
     agent.collector.shutdown()
     return config, agent.parts["learner"]
 
@@ -195,7 +195,7 @@ def make_stock_update(
 ) -> Callable[[], object]:
     """The update as composed from TorchRL's own parts."""
     algorithm: RainbowConfig = config.algorithm
-    actor = make_rainbow_actor(make_task("indoor"), config)
+    actor = make_rainbow_actor(make_task("indoor"), config.network, algorithm)
     loss = DistributionalDQNLoss(actor, gamma=algorithm.gamma, delay_value=True)
     updater = SoftUpdate(loss, tau=algorithm.target_tau)
     parameters = list(loss.parameters())

@@ -99,7 +99,7 @@ def test_calls_per_step_of_an_evaluation_do_not_grow_with_the_population(name):
         config = load_experiment([f"experiment={EXPERIMENTS[name]}"])
         task = make_task(name, step_limit=30)
         torch.manual_seed(0)
-        actor = make_actor(task, config)
+        actor = make_actor(task, config.network, config.algorithm)
         evaluator = PopulationEvaluator(
             actor,
             num_episodes=2,
@@ -119,7 +119,7 @@ def test_memory_of_an_evaluation_does_not_grow_with_steps():
     def peak(limit):
         task = make_task("water", step_limit=limit)
         config = load_experiment(["experiment=gppo_water"])
-        actor = make_actor(task, config)
+        actor = make_actor(task, config.network, config.algorithm)
         evaluator = PopulationEvaluator(
             actor,
             num_episodes=4,
@@ -155,7 +155,8 @@ def test_calls_per_step_of_a_simulation_do_not_grow_with_worlds(name):
 
 
 def test_a_policy_of_bounds_alike_is_traced_whole():
-    actor = make_actor(make_task("water"), load_experiment(["experiment=gppo_water"]))
+    config = load_experiment(["experiment=gppo_water"])
+    actor = make_actor(make_task("water"), config.network, config.algorithm)
     population = PopulationActor(actor)
     population.load(stack_copies(genome_of(actor), 2))
     with set_exploration_type(ExplorationType.DETERMINISTIC):

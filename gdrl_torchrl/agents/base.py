@@ -16,11 +16,13 @@ from torchrl.objectives.common import LossModule
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.agents.update import Update
-from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.envs.make import make_env
 
-MakeActor = Callable[[NavigationTask, ExperimentConfig], TensorDictModuleBase]
+MakeActor = Callable[[NavigationTask, NetworkConfig, Any], TensorDictModuleBase]
+"""A policy of a task, with networks and an algorithm's settings."""
+MakeEnv = Callable[[int], EnvBase]
+"""An environment of so many worlds, for a collector to step."""
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 NO_FRAME_LIMIT = 1 << 62
 """Budgets end training, not the trainer's own limit."""
@@ -95,15 +97,7 @@ class Algorithm:
     """A dataclass with a field ``name`` and a class variable ``actions``: the kind that
     it needs, ``discrete``, ``continuous`` or ``any``."""
     make_actor: MakeActor
-    make_agent: Callable[[ExperimentConfig, NavigationTask], Agent]
-
-
-def make_training_env(config: ExperimentConfig, task: NavigationTask) -> EnvBase:
-    """The environment that an agent's collector steps."""
-    return make_env(
-        task,
-        config.algorithm.num_worlds,
-        backend=config.task.backend,
-        num_threads=config.simulation.num_threads,
-        seed=config.seed,
-    )
+    make_agent: Callable[..., Agent]
+    """``(task, network, settings, *, make_env, seed, on_non_finite)``: ``make_env`` is a
+    :data:`MakeEnv`, ``on_non_finite`` as of
+    :class:`~gdrl_torchrl.agents.update.Update`."""

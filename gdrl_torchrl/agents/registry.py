@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from tensordict.nn import TensorDictModuleBase
 
 from gdrl_tasks import NavigationTask
@@ -12,26 +15,27 @@ from gdrl_torchrl.agents.ppo.agent import make_ppo_actor, make_ppo_agent
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.rainbow.agent import make_rainbow_actor, make_rainbow_agent
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
-from gdrl_torchrl.config.algorithms import with_algorithms
-from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.agents.settings import NetworkConfig, with_algorithms
 
 ALGORITHMS: dict[str, Algorithm] = {
     "ppo": Algorithm(PPOConfig, make_ppo_actor, make_ppo_agent),
     "rainbow": Algorithm(RainbowConfig, make_rainbow_actor, make_rainbow_agent),
     "ga": Algorithm(GAConfig, make_ga_actor, make_ga_agent),
 }
-"""Ours; see :func:`algorithm_of` for those of other packages."""
+"""Ours; see :func:`algorithms` for those of other packages."""
 
 
-def algorithm_of(config: ExperimentConfig) -> Algorithm:
-    """The algorithm of a run."""
-    return with_algorithms(ALGORITHMS)[config.algorithm.name]
+def algorithms() -> Mapping[str, Algorithm]:
+    """Ours, and those of other packages, by name."""
+    return with_algorithms(ALGORITHMS)
 
 
-def make_actor(task: NavigationTask, config: ExperimentConfig) -> TensorDictModuleBase:
-    """The policy of a run, with new weights.
+def make_actor(
+    task: NavigationTask, network: NetworkConfig, settings: Any
+) -> TensorDictModuleBase:
+    """A policy with new weights, of the algorithm that settings are of.
 
     Raises:
         ValueError: If task and algorithm do not fit.
     """
-    return algorithm_of(config).make_actor(task, config)
+    return algorithms()[settings.name].make_actor(task, network, settings)

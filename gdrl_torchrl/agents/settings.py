@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from gdrl_torchrl.checks import (
     among,
@@ -11,6 +13,10 @@ from gdrl_torchrl.checks import (
     limits,
     within,
 )
+from gdrl_torchrl.plugins import Offers, with_plugins
+
+if TYPE_CHECKING:
+    from gdrl_tasks import NavigationTask
 
 _WIDTHS = limits(lengths=(1, 16), least=1, most=16_384)
 
@@ -47,3 +53,19 @@ def check_whole_rows(frames_per_batch: int, num_worlds: int) -> None:
             f"algorithm.frames_per_batch={frames_per_batch} must be a multiple "
             f"of algorithm.num_worlds={num_worlds}"
         )
+
+
+def check_actions(task: NavigationTask, settings: Any) -> None:
+    """Raise ValueError unless an algorithm can give the actions that a task needs."""
+    given = "discrete" if task.spec.is_discrete else "continuous"
+    if settings.actions not in ("any", given):
+        raise ValueError(
+            f"task.actions={given!r} must be {settings.actions!r} with algorithm.name="
+            f"{settings.name!r}: give task.actions={settings.actions}"
+        )
+
+
+def with_algorithms(own: Mapping[str, Any]) -> Offers:
+    """Ours by name, and the algorithms that other packages offer."""
+    needs = ("config", "make_actor", "make_agent")
+    return with_plugins(own, "gdrl.algorithms", needs=needs)

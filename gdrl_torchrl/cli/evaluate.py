@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gdrl_torchrl.agents.settings import NetworkConfig
-from gdrl_torchrl.checks import check_choice
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
-from gdrl_torchrl.cli.shared.compose import check_plain, merge_task
-from gdrl_torchrl.config.algorithms import algorithm_configs
+from gdrl_torchrl.cli.shared.compose import merge_task
+from gdrl_torchrl.cli.shared.saved_config import READ, config_of, named
 from gdrl_torchrl.config.options import nearest, wrong_type
-from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
-from gdrl_torchrl.config.task import make_task_from_config, task_config_class
-from gdrl_torchrl.files.fields import OBJECT, TEXT, read_object
+from gdrl_torchrl.config.schema import EvaluationConfig
+from gdrl_torchrl.config.task import make_task_from_config
+from gdrl_torchrl.files.fields import read_object
 
 _OPTIONS = [
     ("run=<run directory>", "The run whose final policy is evaluated."),
@@ -36,14 +32,6 @@ _PARSER = CommandParser(
         "gdrl-evaluate run=runs/gppo_water/1a2b3c4d/seed_0 task.sea=rough",
     ],
 )
-_READ = {
-    "task": OBJECT,
-    "task.name": TEXT,
-    "algorithm": OBJECT,
-    "algorithm.name": TEXT,
-    "network": OBJECT,
-    "evaluation": OBJECT,
-}
 
 
 def evaluate_run(arguments: list[str]) -> dict[str, Any]:
@@ -75,16 +63,16 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     path = run / "config.json"
     if not path.exists():
         raise ValueError(f"run={run} must be a run directory: it has no config.json")
-    saved = read_object(path, _READ)
-    with _named(path):
-        config = _config_of(saved)
+    saved = read_object(path, READ)
+    with named(path):
+        config = config_of(saved)
     numbers = {
         name: _whole_number(name, values[name])
         for name in ("episodes", "seed")
         if name in values
     }
     evaluation = dataclasses.replace(config.evaluation, **numbers)
-    with _named(path):
+    with named(path):
         trained = make_task_from_config(config.task).spec
     task_config = merge_task(saved["task"], overrides)
     task = make_task_from_config(task_config)
@@ -99,8 +87,8 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     from gdrl_torchrl.files.policy import load_policy, params_sha256
     from gdrl_torchrl.runs.evaluate import evaluate_policy
 
-    with _named(path):
-        actor = make_actor(task, config)
+    with named(path):
+        actor = make_actor(task, config.network, config.algorithm)
     load_policy(run / "final", actor)
     scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
     return {
@@ -120,45 +108,6 @@ def _unknown(argument: str) -> str:
         return f"{argument} must be given as run={argument}"
     hint = f"did you mean {near}=...?" if near else "see gdrl-evaluate --help"
     return f"{argument} must be an option that exists: {hint}"
-
-
-def _config_of(saved: dict[str, Any]) -> ExperimentConfig:
-    """What an evaluation needs of a saved configuration.
-
-    Raises:
-        ValueError: If a field is missing, unknown or not what it must be.
-    """
-    check_plain(saved["task"])
-    algorithms = algorithm_configs()
-    check_choice("algorithm.name", saved["algorithm"]["name"], algorithms)
-    classes = {
-        "task": task_config_class(saved["task"]["name"]),
-        "algorithm": algorithms[saved["algorithm"]["name"]],
-        "network": NetworkConfig,
-        "evaluation": EvaluationConfig,
-    }
-    return ExperimentConfig(
-        **{name: _section(cls, name, saved[name]) for name, cls in classes.items()}
-    )
-
-
-def _section(cls: type, name: str, values: dict[str, Any]) -> Any:
-    names = {field.name for field in dataclasses.fields(cls)}
-    if missing := sorted(names - values.keys()):
-        raise ValueError(f"{name} has no {missing}")
-    if unknown := sorted(values.keys() - names):
-        raise ValueError(f"{name} has {unknown}, which are unknown")
-    return cls(**values)
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Name a file in the errors of what is made of it."""
-    try:
-        yield
-    # Options of other packages may be unchecked, and libraries raise what they like.
-    except (ValueError, TypeError, ArithmeticError, RuntimeError, MemoryError) as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _whole_number(name: str, text: str) -> int:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from gdrl_torchrl.agents.ga.settings import GAConfig
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
-from gdrl_torchrl.plugins import Offers, with_plugins
+from gdrl_torchrl.agents.settings import with_algorithms
+from gdrl_torchrl.plugins import Offers
 
 ALGORITHMS: dict[str, type] = {
     "ppo": PPOConfig,
@@ -23,9 +21,3 @@ def algorithm_configs() -> Offers:
     offers = with_algorithms(ALGORITHMS)
     others = {n: offer.config for n, offer in offers.items() if n not in ALGORITHMS}
     return Offers(others | ALGORITHMS, offers.broken)
-
-
-def with_algorithms(own: Mapping[str, Any]) -> Offers:
-    """Ours by name, and the algorithms that other packages offer."""
-    needs = ("config", "make_actor", "make_agent")
-    return with_plugins(own, "gdrl.algorithms", needs=needs)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from gdrl_torchrl.agents.ga.settings import GAConfig
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.settings import check_actions
 from gdrl_torchrl.checks import num_weights
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
@@ -78,13 +79,7 @@ def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
             f"evolution.enabled=True must be False (evolution=none) with algorithm.name="
             f"{name!r}, which is a population already"
         )
-    needed = config.algorithm.actions
-    given = "discrete" if task.spec.is_discrete else "continuous"
-    if needed not in ("any", given):
-        raise ValueError(
-            f"task.actions={given!r} must be {needed!r} with algorithm.name={name!r}: give "
-            f"task.actions={needed}"
-        )
+    check_actions(task, config.algorithm)
 
 
 def _check_population(config: ExperimentConfig) -> None:

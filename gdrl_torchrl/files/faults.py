@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
+from tensordict import TensorDictBase
 
 from gdrl_tasks.engines.divergence import DivergedWorld
-from gdrl_torchrl.agents.collectors.finite_batches import NonFiniteBatchError
-from gdrl_torchrl.agents.update import NonFiniteUpdateError
-from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.files.safe_files import own_folder, written_aside
 from gdrl_torchrl.files.state import write_state
 
 FOLDER = "faults"
 _logger = logging.getLogger(__name__)
+
+
+class NotFinite(Protocol):
+    """An error about numbers that are not finite."""
+
+    names: list[str]
+    """What is not finite."""
+    batch: TensorDictBase
+    """Where: a minibatch ``[B]``, or a world's steps ``[T]``."""
 
 
 class FaultFiles:
@@ -27,17 +35,18 @@ class FaultFiles:
 
     Args:
         run_dir: The run directory.
-        config: The run's configuration.
+        task: The run's task: its settings by name.
+        most_files: Most files that are kept.
 
     Attributes:
         num_diverged: Worlds that diverged, of the agent and of populations.
     """
 
-    def __init__(self, run_dir: Path, config: ExperimentConfig) -> None:
+    def __init__(self, run_dir: Path, task: Mapping[str, Any], most_files: int) -> None:
         self.folder = run_dir / FOLDER
-        self.most = config.faults.most_files
+        self.most = most_files
         self.num_diverged = 0
-        self._task = dataclasses.asdict(config.task)
+        self._task = dict(task)
 
     def note_world(self, diverged: DivergedWorld) -> None:
         """Count a world, and keep its last step if there is room for a file more."""
@@ -52,7 +61,7 @@ class FaultFiles:
             f": gdrl-replay {path}" if path else "",
         )
 
-    def note_update(self, error: NonFiniteUpdateError | NonFiniteBatchError) -> Path | None:
+    def note_update(self, error: NotFinite) -> Path | None:
         """Keep the minibatch of an update, or a world's steps of a batch that made none.
 
         Returns:

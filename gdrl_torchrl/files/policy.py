@@ -12,7 +12,6 @@ from safetensors.torch import load, save
 from torch import nn
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.files.fields import DIGEST, read_object
 from gdrl_torchrl.files.safe_files import own_folder, read_content, written_aside
 
@@ -36,11 +35,17 @@ def _digest(state: Mapping[str, torch.Tensor]) -> str:
 
 
 def save_policy(
-    folder: Path, actor: nn.Module, task: NavigationTask, config: ExperimentConfig
+    folder: Path, actor: nn.Module, task: NavigationTask, algorithm: str
 ) -> None:
     """Write a policy's weights (safetensors) and what is needed to use them.
 
     A reader never sees half a file; until both are there, their digests differ.
+
+    Args:
+        folder: Where to.
+        actor: The policy.
+        task: What it was trained on.
+        algorithm: What by: the label of tables and figures.
 
     Raises:
         OSError: If a file cannot be written; what was there before is whole.
@@ -53,7 +58,7 @@ def save_policy(
     low, high = task.spec.observation_bounds
     contract = {
         "task": task.name,
-        "algorithm": config.algorithm_label,
+        "algorithm": algorithm,
         "observation": {name: spec[0] for name, spec in task.spec.observation.items()},
         "observation_low": low.tolist(),
         "observation_high": high.tolist(),

@@ -8,10 +8,10 @@ from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.base import Agent
 from gdrl_torchrl.agents.collectors.ahead import AheadCollector
 from gdrl_torchrl.agents.collectors.finite_batches import check_batch
-from gdrl_torchrl.agents.registry import algorithm_of
+from gdrl_torchrl.agents.registry import algorithms
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
-from gdrl_torchrl.envs.make import OnDivergence
+from gdrl_torchrl.envs.make import OnDivergence, make_env
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.hooks.base import Evolution
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
@@ -57,8 +57,7 @@ def build_training(
         ValueError: If task and algorithm do not fit, or an option is out of range.
     """
     task = make_task_of(config)
-    algorithm = algorithm_of(config)
-    agent = algorithm.make_agent(config, task)
+    agent = make_agent(task, config)
     if on_divergence is not None and isinstance(agent.env, NavigationEnv):
         agent.env.simulation.watch(on_divergence)
     if on_divergence is not None and isinstance(agent.collector, AheadCollector):
@@ -66,9 +65,29 @@ def build_training(
     agent.trainer.register_op("batch_process", check_batch)
     watch = EpisodeWatch(config.evolution.window_episodes)
     watch.register(agent.trainer)
-    evolution = make_evolution(
-        config, task, agent, algorithm.make_actor, watch, on_divergence=on_divergence
-    )
+    evolution = make_evolution(config, task, agent, watch, on_divergence=on_divergence)
     if evolution is not None:
         evolution.register(agent.trainer)
     return Training(task, agent, watch, evolution)
+
+
+def make_agent(task: NavigationTask, config: ExperimentConfig) -> Agent:
+    """The agent of a run, and what trains it.
+
+    Raises:
+        ValueError: If task and algorithm do not fit.
+    """
+    return algorithms()[config.algorithm.name].make_agent(
+        task,
+        config.network,
+        config.algorithm,
+        make_env=lambda num_worlds: make_env(
+            task,
+            num_worlds,
+            backend=config.task.backend,
+            num_threads=config.simulation.num_threads,
+            seed=config.seed,
+        ),
+        seed=config.seed,
+        on_non_finite=config.faults.on_non_finite_update,
+    )

@@ -10,8 +10,9 @@ import torch
 from tensordict import TensorDictBase
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.agents.base import Agent, MakeActor
+from gdrl_torchrl.agents.base import Agent
 from gdrl_torchrl.agents.ga.settings import GAConfig
+from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import OnDivergence, make_env
 from gdrl_torchrl.evolution.hooks.base import Evolution
@@ -37,7 +38,6 @@ def make_evolution(
     config: ExperimentConfig,
     task: NavigationTask,
     agent: Agent,
-    make_actor: MakeActor,
     watch: EpisodeWatch,
     *,
     on_divergence: OnDivergence = None,
@@ -53,7 +53,7 @@ def make_evolution(
     if make is None:
         return None
     evaluator = functools.partial(_evaluator, config, task, agent, on_divergence)
-    first = functools.partial(_first_generation, config, task, make_actor)
+    first = functools.partial(_first_generation, config, task)
     return make(config, agent, watch, evaluator, first)
 
 
@@ -162,12 +162,15 @@ def _evaluator(
 
 
 def _first_generation(
-    config: ExperimentConfig, task: NavigationTask, make_actor: MakeActor, count: int
+    config: ExperimentConfig, task: NavigationTask, count: int
 ) -> TensorDictBase:
     """Genomes of new actors, ``[count]``; the run's own generator is left alone."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed + _OTHER_WEIGHTS)
-        genomes = [genome_of(make_actor(task, config)) for _ in range(count)]
+        genomes = [
+            genome_of(make_actor(task, config.network, config.algorithm))
+            for _ in range(count)
+        ]
     return concatenate([stack_copies(genome, 1) for genome in genomes])
 
 

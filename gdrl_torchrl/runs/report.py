@@ -91,7 +91,7 @@ def report_run(
     _logger.info(
         "held-out success %.3f over %d episodes", scores["success_rate"], scores["episodes"]
     )
-    save_policy(directory.path / "final", actor, task, config)
+    save_policy(directory.path / "final", actor, task, config.algorithm_label)
     seeds = held_out_seeds(config.evaluation)
     act = greedy_act(actor)
     trajectories = record_trajectories(

@@ -140,7 +140,9 @@ def _run(
     directory: RunDirectory, config: ExperimentConfig, signals: StopSignals
 ) -> dict[str, Any]:
     seed_everything(config.seed)
-    faults = FaultFiles(directory.path, config)
+    faults = FaultFiles(
+        directory.path, dataclasses.asdict(config.task), config.faults.most_files
+    )
     training = build_training(config, on_divergence=faults.note_world)
     try:
         costs = _train(directory, config, training, faults, signals)

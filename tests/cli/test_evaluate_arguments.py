@@ -25,7 +25,12 @@ def run(tmp_path_factory):
     )
     (path / "config.json").write_text(json.dumps(dataclasses.asdict(config)))
     task = make_task_from_config(config.task)
-    save_policy(path / "final", make_actor(task, config), task, config)
+    save_policy(
+        path / "final",
+        make_actor(task, config.network, config.algorithm),
+        task,
+        config.algorithm_label,
+    )
     return path
 
 

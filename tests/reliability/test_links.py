@@ -147,13 +147,13 @@ def test_a_run_that_was_copied_by_links_leaves_its_original_alone(config, tmp_pa
 def test_fault_files_are_written_through_no_link(config, outside, tmp_path):
     run = tmp_path / "run"
     linked(run, "faults/update.safetensors", outside / "mine")
-    faults = FaultFiles(run, config)
+    faults = FaultFiles(run, {}, 20)
     assert faults._write("update.safetensors", {"kind": "update"})
     assert not (run / "faults" / "update.safetensors").is_symlink()
     other = tmp_path / "other"
     linked(other, "faults", outside)
     with pytest.raises(OSError, match="is a link"):
-        FaultFiles(other, config)._write("update.safetensors", {"kind": "update"})
+        FaultFiles(other, {}, 20)._write("update.safetensors", {"kind": "update"})
 
 
 def test_every_writer_leaves_links_alone(outside, tmp_path):

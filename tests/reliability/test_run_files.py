@@ -82,7 +82,7 @@ def run(config):
 def actor():
     """Gets the policy; the same in all tests."""
     config = load_experiment([*OVERRIDES])
-    return make_actor(make_task_of(config), config)
+    return make_actor(make_task_of(config), config.network, config.algorithm)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -499,7 +499,7 @@ def test_a_full_disk_leaves_the_policy_before(run, config, tmp_path, monkeypatch
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", write_half)
         with pytest.raises(OSError, match="No space left"):
-            save_policy(folder, actor(), make_task_of(config), config)
+            save_policy(folder, actor(), make_task_of(config), config.algorithm_label)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -509,7 +509,7 @@ def test_a_policy_with_the_contract_of_the_one_before_is_refused(run, config):
         read_policy(run)
         with torch.no_grad():
             next(actor().parameters()).add_(1.0)
-        save_policy(run / "final", actor(), make_task_of(config), config)
+        save_policy(run / "final", actor(), make_task_of(config), config.algorithm_label)
         # The process died before it wrote the second file.
         (run / CONTRACT).write_bytes(content)
         with pytest.raises(ValueError, match=r"expected \w{64} by contract\.json"):

@@ -107,14 +107,15 @@ def test_the_greedy_policy_takes_arrays(actor_of):
 @pytest.fixture
 def saved(tmp_path, easy_task_for, tiny):
     task = easy_task_for()
-    actor = make_actor(task, tiny())
-    save_policy(tmp_path / "final", actor, task, tiny())
+    config = tiny()
+    actor = make_actor(task, config.network, config.algorithm)
+    save_policy(tmp_path / "final", actor, task, config.algorithm_label)
     return tmp_path / "final", actor, task
 
 
 def test_a_saved_policy_comes_back_bit_by_bit(saved, tiny):
     folder, actor, task = saved
-    other = make_actor(task, tiny())
+    other = make_actor(task, tiny().network, tiny().algorithm)
     assert params_sha256(other) != params_sha256(actor)
     load_policy(folder, other)
     assert params_sha256(other) == params_sha256(actor)
@@ -134,8 +135,10 @@ def test_the_digest_sees_every_value(saved):
 
 def test_a_policy_of_another_network_is_refused(saved, tiny):
     folder, _, task = saved
+    config = tiny("network.actor_cells=[4]")
+    other = make_actor(task, config.network, config.algorithm)
     with pytest.raises(ValueError, match=r"policy\.safetensors cannot be loaded"):
-        load_policy(folder, make_actor(task, tiny("network.actor_cells=[4]")))
+        load_policy(folder, other)
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "noise"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torchrl.collectors import Collector
@@ -22,11 +22,11 @@ from gdrl_torchrl.agents.base import (
     NO_FRAME_LIMIT,
     Agent,
     Algorithm,
-    make_training_env,
+    MakeEnv,
 )
 from gdrl_torchrl.agents.networks import make_value_network
 from gdrl_torchrl.agents.ppo.agent import make_ppo_actor
-from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.agents.settings import NetworkConfig
 
 
 @dataclasses.dataclass
@@ -50,12 +50,19 @@ class A2CConfig:
             )
 
 
-def make_a2c_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
+def make_a2c_agent(
+    task: NavigationTask,
+    network: NetworkConfig,
+    settings: A2CConfig,
+    *,
+    make_env: MakeEnv,
+    **others: Any,
+) -> Agent:
     """Build the agent, its environment and its trainer."""
-    settings = config.algorithm
-    env, actor = make_training_env(config, task), make_ppo_actor(task, config)
+    env = make_env(settings.num_worlds)
+    actor = make_ppo_actor(task, network, settings)
     critic = make_value_network(
-        task.spec.observation_size, num_cells=tuple(config.network.critic_cells)
+        task.spec.observation_size, num_cells=tuple(network.critic_cells)
     )
     loss = A2CLoss(actor, critic)
     optimizer = torch.optim.Adam(loss.parameters(), lr=settings.learning_rate)

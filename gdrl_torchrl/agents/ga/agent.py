@@ -10,14 +10,17 @@ from torchrl.data import Bounded, Categorical
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.base import ACTIVATIONS, Agent
+from gdrl_torchrl.agents.ga.settings import GAConfig
 from gdrl_torchrl.agents.loop import GenerationLoop
 from gdrl_torchrl.agents.networks import make_argmax_actor, make_tanh_normal_actor
-from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.agents.settings import NetworkConfig
 
 
-def make_ga_actor(task: NavigationTask, config: ExperimentConfig) -> TensorDictModuleBase:
+def make_ga_actor(
+    task: NavigationTask, network: NetworkConfig, settings: GAConfig
+) -> TensorDictModuleBase:
     """A policy of the family that evolves: as large as the other agents' policies."""
-    size, network = task.spec.action_size, config.network
+    size = task.spec.action_size
     shape: dict[str, Any] = {
         "num_cells": tuple(network.actor_cells),
         "activation": ACTIVATIONS[network.activation],
@@ -28,6 +31,8 @@ def make_ga_actor(task: NavigationTask, config: ExperimentConfig) -> TensorDictM
     return make_tanh_normal_actor(task.spec.observation_size, spec, **shape)
 
 
-def make_ga_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
-    """A policy to hold the result, and the loop."""
-    return Agent(make_ga_actor(task, config), GenerationLoop())
+def make_ga_agent(
+    task: NavigationTask, network: NetworkConfig, settings: GAConfig, **others: Any
+) -> Agent:
+    """A policy to hold the result, and the loop; it needs nothing else."""
+    return Agent(make_ga_actor(task, network, settings), GenerationLoop())

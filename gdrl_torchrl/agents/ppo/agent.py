@@ -20,33 +20,34 @@ from gdrl_torchrl.agents.base import (
     ACTIVATIONS,
     NO_FRAME_LIMIT,
     Agent,
-    make_training_env,
+    MakeEnv,
 )
 from gdrl_torchrl.agents.collectors.navigation import make_collector
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.agents.ppo.loss import make_ppo_loss
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
+from gdrl_torchrl.agents.settings import NetworkConfig, check_actions
 from gdrl_torchrl.agents.update import NOTHING, Update
-from gdrl_torchrl.config.relations import check_fit
-from gdrl_torchrl.config.schema import ExperimentConfig
 
 _ENTROPY_OF_UNIT_NORMAL = 0.5 * math.log(2.0 * math.pi * math.e)
 
 
-def make_ppo_actor(task: NavigationTask, config: ExperimentConfig) -> ProbabilisticActor:
+def make_ppo_actor(
+    task: NavigationTask, network: NetworkConfig, settings: Any
+) -> ProbabilisticActor:
     """The policy of a run.
 
     Raises:
         ValueError: If the task's actions are discrete.
     """
-    check_fit(task, config)
+    check_actions(task, settings)
     size = task.spec.action_size
     return make_tanh_normal_actor(
         task.spec.observation_size,
         Bounded(low=-1.0, high=1.0, shape=torch.Size([size]), dtype=torch.float32),
-        num_cells=tuple(config.network.actor_cells),
-        activation=ACTIVATIONS[config.network.activation],
-        initial_std=config.network.initial_std,
+        num_cells=tuple(network.actor_cells),
+        activation=ACTIVATIONS[network.activation],
+        initial_std=network.initial_std,
     )
 
 
@@ -157,34 +158,53 @@ class PPOLearner(OptimizationStepper):
         self.update.num_skipped = state_dict["num_skipped"]
 
 
-def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
-    """Build the agent, its environment and its trainer."""
-    algorithm, network = config.algorithm, config.network
-    env = make_training_env(config, task)
-    actor = make_ppo_actor(task, config)
+def make_ppo_agent(
+    task: NavigationTask,
+    network: NetworkConfig,
+    settings: PPOConfig,
+    *,
+    make_env: MakeEnv,
+    seed: int = 0,
+    on_non_finite: str = "stop",
+) -> Agent:
+    """Build the agent, its environment and its trainer.
+
+    Args:
+        task: The task.
+        network: Sizes of policy and critic.
+        settings: PPO's settings.
+        make_env: Makes the environment of so many worlds that the collector steps.
+        seed: Seed of the order of minibatches; weights are those of torch's generator.
+        on_non_finite: As of :class:`~gdrl_torchrl.agents.update.Update`.
+
+    Raises:
+        ValueError: If the task's actions are discrete.
+    """
+    env = make_env(settings.num_worlds)
+    actor = make_ppo_actor(task, network, settings)
     critic = make_value_network(
         task.spec.observation_size,
         num_cells=tuple(network.critic_cells),
         sees_time=network.critic_sees_time,
         activation=ACTIVATIONS[network.activation],
     )
-    loss, advantage = make_ppo_loss(actor, critic, algorithm)
+    loss, advantage = make_ppo_loss(actor, critic, settings)
     optimizer = torch.optim.Adam(
-        loss.parameters(), lr=algorithm.learning_rate, eps=1e-5, fused=True
+        loss.parameters(), lr=settings.learning_rate, eps=1e-5, fused=True
     )
     collector = make_collector(
         env,
         actor,
-        frames_per_batch=algorithm.frames_per_batch,
+        frames_per_batch=settings.frames_per_batch,
         policy_keys=["action_log_prob", "loc", "scale"],
     )
     learner = PPOLearner(
         loss,
         advantage,
         optimizer,
-        algorithm,
-        seed=config.seed,
-        on_non_finite=config.faults.on_non_finite_update,
+        settings,
+        seed=seed,
+        on_non_finite=on_non_finite,
     )
     with warnings.catch_warnings():
         # TorchRL calls its trainers prototypes.
@@ -194,7 +214,7 @@ def make_ppo_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
             total_frames=NO_FRAME_LIMIT,
             frame_skip=1,
             optim_steps_per_batch=None,  # pyright: ignore[reportArgumentType]
-            num_epochs=algorithm.num_epochs,
+            num_epochs=settings.num_epochs,
             loss_module=loss,
             optimizer=optimizer,
             optimization_stepper=learner,

@@ -22,7 +22,7 @@ from gdrl_torchrl.agents.base import (
     ACTIVATIONS,
     NO_FRAME_LIMIT,
     Agent,
-    make_training_env,
+    MakeEnv,
 )
 from gdrl_torchrl.agents.collectors.ahead import AheadCollector
 from gdrl_torchrl.agents.collectors.navigation import make_collector
@@ -43,33 +43,31 @@ from gdrl_torchrl.agents.rainbow.replay import (
     share_experience,
 )
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.settings import NetworkConfig, check_actions
 from gdrl_torchrl.agents.update import NOTHING, Update
-from gdrl_torchrl.config.relations import check_fit
-from gdrl_torchrl.config.schema import ExperimentConfig
 
 _OTHER_DRAWS = 1 << 41
 """Added to a run's seed for what acts ahead, beside what learns."""
 
 
 def make_rainbow_actor(
-    task: NavigationTask, config: ExperimentConfig
+    task: NavigationTask, network: NetworkConfig, settings: RainbowConfig
 ) -> DistributionalQValueActor:
     """The greedy policy of a run; its support holds every return of the task.
 
     Raises:
         ValueError: If the task's actions are continuous.
     """
-    check_fit(task, config)
-    algorithm: RainbowConfig = config.algorithm
+    check_actions(task, settings)
     return make_q_actor(
         task.spec.observation_size,
         task.spec.action_size,
-        value_range=task.spec.return_range(algorithm.gamma),
-        num_atoms=algorithm.num_atoms,
-        num_cells=tuple(config.network.actor_cells),
-        activation=ACTIVATIONS[config.network.activation],
-        noisy=algorithm.exploration == "noisy",
-        noisy_std=algorithm.noisy_std,
+        value_range=task.spec.return_range(settings.gamma),
+        num_atoms=settings.num_atoms,
+        num_cells=tuple(network.actor_cells),
+        activation=ACTIVATIONS[network.activation],
+        noisy=settings.exploration == "noisy",
+        noisy_std=settings.noisy_std,
     )
 
 
@@ -203,40 +201,60 @@ class RainbowLearner(OptimizationStepper):
         self._anneal()
 
 
-def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
-    """Build the agent, its environment and its trainer."""
-    algorithm: RainbowConfig = config.algorithm
-    actor = make_rainbow_actor(task, config)
-    loss = RainbowLoss(actor, gamma=algorithm.gamma)
+def make_rainbow_agent(
+    task: NavigationTask,
+    network: NetworkConfig,
+    settings: RainbowConfig,
+    *,
+    make_env: MakeEnv,
+    seed: int = 0,
+    on_non_finite: str = "stop",
+) -> Agent:
+    """Build the agent, its environment and its trainer.
+
+    Args:
+        task: The task.
+        network: Size of the network.
+        settings: Rainbow's settings.
+        make_env: Makes the environment of so many worlds that the collector steps.
+        seed: Seed of replay and of what is drawn while collecting ahead; weights are
+            those of torch's generator.
+        on_non_finite: As of :class:`~gdrl_torchrl.agents.update.Update`.
+
+    Raises:
+        ValueError: If the task's actions are continuous.
+    """
+    actor = make_rainbow_actor(task, network, settings)
+    loss = RainbowLoss(actor, gamma=settings.gamma)
     optimizer = torch.optim.Adam(
-        list(loss.parameters()), lr=algorithm.learning_rate, eps=1e-4, fused=True
+        list(loss.parameters()), lr=settings.learning_rate, eps=1e-4, fused=True
     )
     buffer = make_prioritized_buffer(
-        algorithm.replay_capacity,
-        alpha=algorithm.replay_alpha,
-        beta=algorithm.replay_beta,
-        batch_size=algorithm.minibatch_size,
-        seed=config.seed,
+        settings.replay_capacity,
+        alpha=settings.replay_alpha,
+        beta=settings.replay_beta,
+        batch_size=settings.minibatch_size,
+        seed=seed,
     )
     exploration = None
     policy: Any = actor
-    if algorithm.exploration == "epsilon_greedy":
+    if settings.exploration == "epsilon_greedy":
         exploration = EGreedyModule(
             Categorical(task.spec.action_size),
-            eps_init=algorithm.epsilon_start,
-            eps_end=algorithm.epsilon_end,
+            eps_init=settings.epsilon_start,
+            eps_end=settings.epsilon_end,
         )
         modules: list[Any] = [actor, exploration]
         policy = TensorDictSequential(*modules)
-    collector: Any = _make_collector(config, task, policy)
+    collector: Any = _make_collector(task, policy, settings, make_env, seed)
     learner = RainbowLearner(
         loss,
         optimizer,
         buffer,
-        algorithm,
-        seed=config.seed,
+        settings,
+        seed=seed,
         exploration=exploration,
-        on_non_finite=config.faults.on_non_finite_update,
+        on_non_finite=on_non_finite,
     )
     with warnings.catch_warnings():
         # TorchRL calls its trainers prototypes.
@@ -245,7 +263,7 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
             collector=collector,
             total_frames=NO_FRAME_LIMIT,
             frame_skip=1,
-            optim_steps_per_batch=algorithm.updates_per_batch,
+            optim_steps_per_batch=settings.updates_per_batch,
             loss_module=loss,
             optimizer=optimizer,
             optimization_stepper=learner,
@@ -253,12 +271,12 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
             progress_bar=False,
         )
     parts: dict[str, Any] = {"learner": learner}
-    if algorithm.collect_ahead:
+    if settings.collect_ahead:
         parts["collector"] = collector
     return Agent(
         actor,
         trainer,
-        env=None if algorithm.collect_ahead else collector.env,
+        env=None if settings.collect_ahead else collector.env,
         loss=loss,
         optimizer=optimizer,
         collector=collector,
@@ -270,26 +288,28 @@ def make_rainbow_agent(config: ExperimentConfig, task: NavigationTask) -> Agent:
 
 
 def _make_collector(
-    config: ExperimentConfig, task: NavigationTask, policy: TensorDictModuleBase
+    task: NavigationTask,
+    policy: TensorDictModuleBase,
+    settings: RainbowConfig,
+    make_env: MakeEnv,
+    seed: int,
 ) -> Collector | AheadCollector:
-    algorithm: RainbowConfig = config.algorithm
-
     def make() -> Collector:
         return make_collector(
-            make_training_env(config, task),
+            make_env(settings.num_worlds),
             policy,
-            frames_per_batch=algorithm.frames_per_batch,
+            frames_per_batch=settings.frames_per_batch,
             policy_keys=[],
         )
 
-    if not algorithm.collect_ahead:
+    if not settings.collect_ahead:
         return make()
     # Both sides will need the compiled functions, which take a moment to load.
-    task.draw_episode(config.seed)
+    task.draw_episode(seed)
     return AheadCollector(
         make,
         policy,
-        seed=config.seed + _OTHER_DRAWS,
+        seed=seed + _OTHER_DRAWS,
         # On one processor the two sides would only take turns.
         in_process=allowed_processors() > 1,
     )

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.cli.evaluate import _READ, _config_of, _named
 from gdrl_torchrl.cli.shared.compose import merge_task
+from gdrl_torchrl.cli.shared.saved_config import READ, config_of, named
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import make_task_from_config
 from gdrl_torchrl.files.fields import read_object
@@ -49,9 +49,9 @@ class SavedPolicy:
             raise ValueError(f"run={run} must be a run directory: it has no config.json")
         if not (folder / "final").exists():
             raise ValueError(f"run={run} must be done: it has no policy in final/ yet")
-        saved = read_object(path, _READ)
-        with _named(path):
-            config = _config_of(saved)
+        saved = read_object(path, READ)
+        with named(path):
+            config = config_of(saved)
         task = make_task_from_config(merge_task(saved["task"], list(overrides)))
         return cls(folder, config, task)
 
@@ -66,8 +66,8 @@ class SavedPolicy:
         from gdrl_torchrl.files.policy import load_policy
         from gdrl_torchrl.runs.evaluate import greedy_act
 
-        with _named(self.run / "config.json"):
-            actor = make_actor(self.task, self.config)
+        with named(self.run / "config.json"):
+            actor = make_actor(self.task, self.config.network, self.config.algorithm)
         load_policy(self.run / "final", actor)
         return greedy_act(actor)
 
