@@ -13,7 +13,7 @@ from typing import Any
 
 from gdrl_tasks.plugins import Offers, offers_of
 
-__all__ = ["Offers", "conf_packages", "plugin_names", "with_plugins"]
+__all__ = ["Offers", "conf_packages", "with_plugins"]
 
 
 def with_plugins(
@@ -35,16 +35,6 @@ def with_plugins(
     """
     offers = offers_of(group, needs=needs, taken=frozenset(own))
     return Offers({**own, **offers}, offers.broken)
-
-
-def plugin_names(group: str) -> list[str]:
-    """Names of what other packages offer in a group; nothing of theirs is imported.
-
-    Examples:
-        >>> plugin_names("gdrl.nothing_offers_this")
-        []
-    """
-    return sorted({entry.name for entry in entry_points(group=group)})
 
 
 def conf_packages() -> list[str]:

@@ -11,17 +11,17 @@ import os
 import torch
 
 from gdrl_tasks import make_task
-from gdrl_torchrl.agents.networks import make_tanh_normal_actor
-from gdrl_torchrl.envs.navigation import NavigationEnv
-from gdrl_torchrl.evolution.operators.genome import (
+from gdrl_torchrl import (
+    NavigationEnv,
+    PopulationEvaluator,
+    bernoulli_mutation,
     concatenate,
     genome_of,
     install,
+    make_tanh_normal_actor,
+    select_best,
     stack_copies,
 )
-from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
-from gdrl_torchrl.evolution.operators.selection import select_best
-from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 smoke = os.environ.get("GDRL_SMOKE") == "1"
 children, episodes = (2, 2) if smoke else (10, 10)
@@ -37,12 +37,8 @@ actor = make_tanh_normal_actor(
     task.spec.observation_size, env.full_action_spec_unbatched["action"]
 )
 genome = genome_of(actor)
-mutants = bernoulli_mutation(
-    stack_copies(genome, children),
-    mut_p=0.75,
-    std=0.5,
-    generator=torch.Generator().manual_seed(0),
-)
+copies, draws = stack_copies(genome, children), torch.Generator().manual_seed(0)
+mutants = bernoulli_mutation(copies, mut_p=0.75, std=0.5, generator=draws)
 population = concatenate([stack_copies(genome, 1), mutants])
 
 # %% Evaluate: `fitness` counts the episodes in which the goal was reached.

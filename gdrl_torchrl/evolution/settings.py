@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 
 from gdrl_torchrl.checks import (
     MOST_EPISODES,
@@ -15,7 +16,7 @@ from gdrl_torchrl.checks import (
     limits,
     within,
 )
-from gdrl_torchrl.plugins import plugin_names
+from gdrl_torchrl.plugins import with_plugins
 
 # The functions are in ``gdrl_torchrl.evolution``, which imports torch: that takes seconds,
 # and a wrong option is answered before.
@@ -106,10 +107,8 @@ class EvolutionConfig:
     def __post_init__(self) -> None:
         check_fields(self, "evolution")
         check_folder("evolution.name", self.name)
-        others = plugin_names("gdrl.crossovers")
-        check_choice("evolution.crossover", self.crossover, (*CROSSOVERS, *others))
-        others = plugin_names("gdrl.mutations")
-        check_choice("evolution.mutation", self.mutation, (*MUTATIONS, *others))
+        _check_operator("crossover", self.crossover, CROSSOVERS)
+        _check_operator("mutation", self.mutation, MUTATIONS)
         check_evaluation_worlds("evolution", self, "num_children", 1 + self.num_children)
         if len(self.rates) != len(self.thresholds) + 1:
             raise ValueError(
@@ -172,3 +171,11 @@ class ErlConfig:
 
 EVOLUTIONS: dict[str, type] = {"evolution": EvolutionConfig, "erl": ErlConfig}
 """The dataclasses that ``conf/evolution`` files are made of."""
+
+
+def _check_operator(name: str, value: str, own: Collection[str]) -> None:
+    """Raise ValueError unless an operator is ours or another package's."""
+    # Those of other packages are imported only if one of them is asked for.
+    if value not in own:
+        offered = with_plugins(dict.fromkeys(own), f"gdrl.{name}s")
+        check_choice(f"evolution.{name}", value, offered)

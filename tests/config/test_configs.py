@@ -15,7 +15,11 @@ from gdrl_torchrl.cli.shared.compose import load_experiment, merge_task
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.algorithms import ALGORITHMS
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
+from gdrl_torchrl.evolution.hooks.contest import FullContest
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
+from gdrl_torchrl.evolution.hooks.hand_over import HandOver
+from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.evolution.settings import EvolutionConfig
@@ -226,7 +230,8 @@ def defaults_of(function):
 
 def test_defaults_of_the_schema_are_those_of_the_parts():
     evolution, network = EvolutionConfig(), schema.NetworkConfig()
-    hook = defaults_of(GeneticHook)
+    parts = (GeneticHook, MutatedChildren, FullContest, HandOver, EpisodeWatch)
+    hook = {name: default for part in parts for name, default in defaults_of(part).items()}
     shared = {field.name for field in dataclasses.fields(evolution)} & hook.keys()
     shared -= {"mutation", "crossover", "contest", "sensitivity"}
     assert len(shared) >= 6

@@ -121,4 +121,4 @@ def test_jobs_that_change_their_folder_have_their_runs_where_they_say(tmp_path):
     run = tmp_path / done.stdout.split()[-1]
     assert run_row(run)["state"] == "done"
     assert find_runs(tmp_path) == [run]
-    assert run.is_relative_to(tmp_path / "our_runs" / "ppo_water" / "water")
+    assert run.is_relative_to(tmp_path / "our_runs" / "ppo_water")

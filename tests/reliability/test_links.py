@@ -54,7 +54,7 @@ def linked(run, name, target):
     return path
 
 
-FOLDERS = ("checkpoints", "tensorboard", "final", "figures")
+FOLDERS = ("checkpoints", "tensorboard", "final")
 WRITTEN_INTO = (".lock", "metrics.csv")
 REPLACED = (
     *(".config.partial.json", ".DONE.partial", ".provenance.partial.json"),
@@ -79,6 +79,14 @@ def test_a_folder_that_is_a_link_is_refused_without_loss(name, config, outside):
     # As the message says.
     (run / name).unlink()
     run_experiment(config)
+
+
+def test_figures_that_are_a_link_are_left_out_without_loss(config, outside, caplog):
+    run = directory_of(config).path
+    linked(run, "figures", outside)
+    assert run_experiment(config) == run
+    assert "is a link" in caplog.text
+    assert "the run is complete without it" in caplog.text
 
 
 @pytest.mark.parametrize("name", WRITTEN_INTO)

@@ -38,7 +38,8 @@ from gdrl_torchrl.files.trajectories import read_trajectories
 from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.pictures.figures import draw_learning_curve, draw_trajectories
 from gdrl_torchrl.runs import evaluate as evaluation
-from gdrl_torchrl.runs.monitor import COLUMNS
+from gdrl_torchrl.runs import monitor
+from gdrl_torchrl.runs.phases import PHASES
 from gdrl_torchrl.runs.run import run_experiment
 
 POLICY = "final/policy.safetensors"
@@ -64,6 +65,15 @@ OVERRIDES = (
     "logger.video_episodes=0",
     "simulation.num_threads=1",
 )
+
+
+COLUMNS = (
+    *monitor.COLUMNS,
+    *("loss_objective", "loss_critic", "grad_norm"),
+    *("kl_approx", "clip_fraction", "explained_variance", "entropy"),
+    *PHASES,
+)
+"""Of a run with PPO."""
 
 
 @pytest.fixture(scope="module")

@@ -270,9 +270,9 @@ STEP = {"before": {}, "action": [0.0]}
         (["world"], "world is damaged"),
         (["update", "task.sea=calm"], "an update has no task"),
         (["foreign"], r"must hold no \$"),
-        (["pipe"], "pipe is not a file"),
+        (["pipe"], "pipe must be a file"),
         (["sparse"], "sparse has 6442450944 bytes, the most are"),
-        (["folder"], "folder is not a file"),
+        (["folder"], "folder must be a file"),
     ],
 )
 def test_what_cannot_be_replayed_is_said(arguments, message, tmp_path, capsys, monkeypatch):

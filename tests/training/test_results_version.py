@@ -86,7 +86,7 @@ def test_what_runs_compute_and_keep_is_that_of_their_version(
     found = {"state": state_digest(config)}
     known = versions.get(experiment, {})
     advice = (
-        f"raise RUN_VERSION in training/provenance.py and put what is found below its "
+        f"raise RUN_VERSION in runs/place.py and put what is found below its "
         f"number into {FILE.name}"
     )
     assert known.get("state") == found["state"], f"state {found}: {advice}"

@@ -16,7 +16,7 @@ from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.metrics import MetricsTable
 from gdrl_torchrl.files.run_table import state_of
 from gdrl_torchrl.pictures import figures
-from gdrl_torchrl.runs import run
+from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.monitor import COLUMNS
 from gdrl_torchrl.runs.run import InterruptedRunError, run_experiment
 from gdrl_torchrl.runs.signals import _say_that_no_signal_saves, stop_signals
@@ -142,7 +142,10 @@ def test_a_signal_at_any_other_time_ends_a_run_too_and_it_goes_on(
     step, tiny, tmp_path, monkeypatch, evaluation_of, rows_of
 ):
     whole = run_experiment(tiny(f"runs_dir={tmp_path / 'a'}"))
-    place = run.RunDirectory if step == "write_json" else run
+    place = {
+        "build_training": run,
+        "write_json": run.RunDirectory,
+    }.get(step, report)
     inner = getattr(place, step)
 
     def signalled(*arguments, **options):
@@ -276,7 +279,7 @@ def test_pictures_that_cannot_be_made_do_not_fail_a_run(part, tiny, monkeypatch,
     def broken(*arguments, **options):
         raise RuntimeError("there is no ffmpeg here")
 
-    monkeypatch.setattr(run if part == "write_video" else figures, part, broken)
+    monkeypatch.setattr(report if part == "write_video" else figures, part, broken)
     path = run_experiment(tiny("logger.video_episodes=1"))
     assert state_of(path) == "done"
     (said,) = [line for line in caplog.messages if "ffmpeg" in line]
@@ -347,7 +350,7 @@ def test_other_held_out_worlds_evaluate_again_without_training(
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_run_of_another_version_of_runs_needs_force(finished, tiny, monkeypatch, rows_of):
     path = run_experiment(tiny("budget.agent_steps=40"))
-    for module in ("run", "run_directory", "provenance"):
+    for module in ("run", "place"):
         monkeypatch.setattr(f"gdrl_torchrl.runs.{module}.RUN_VERSION", 99)
     steps = 40 if finished else 80
     before = (path / "metrics.csv").read_bytes()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.runs import run
+from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.run import run_experiment
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -71,13 +71,13 @@ def test_a_system_that_was_stopped_ends_where_one_that_was_not_does(
 @pytest.mark.parametrize("name", ["erl_water", "ga_indoor"])
 def test_the_result_is_the_champion(name, small, monkeypatch):
     champions = []
-    save = run.save_policy
+    save = report.save_policy
 
-    def save_and_note(folder, actor, task, config):
+    def save_and_note(folder, actor, task, algorithm):
         champions.append(actor)
-        save(folder, actor, task, config)
+        save(folder, actor, task, algorithm)
 
-    monkeypatch.setattr(run, "save_policy", save_and_note)
+    monkeypatch.setattr(report, "save_policy", save_and_note)
     trained = []
     build = run.build_training
 
