@@ -104,7 +104,7 @@ class EvaluationRules:
             fitness = success.sum(dim=1).float()
         else:
             fitness = result[keys.RETURN_MEAN].clone()
-        broken_policy = ~scores["finite"].all(dim=1)
+        broken_policy = ~scores.get("finite").all(dim=1)
         broken_return = ~torch.isfinite(scores["return"]).all(dim=1)
         fitness = fitness.masked_fill(broken_policy | broken_return, torch.nan)
         if bool(torch.isnan(fitness).all()):
