@@ -124,8 +124,8 @@ def _run_job(
         return run_experiment(experiment, overrides)
     except InterruptedRunError as stop:
         if in_sweep and stop.__cause__ is not None:
-            # Of a job system: its launcher tells who waits for the job.
-            raise
+            # Of a job system: the sweep tells who waits for the job.
+            raise ValueError(str(stop)) from stop
         # Not an error of this job: it ends a sweep too. The terminal may be gone.
         with contextlib.suppress(OSError):
             print(stop, file=sys.stderr)

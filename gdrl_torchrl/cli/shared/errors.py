@@ -71,6 +71,10 @@ def explanation(error: Exception, overrides: Sequence[str]) -> str:
     return _of_the_cause(error, text, overrides)
 
 
+_ALSO_TAKEN = ("hydra.launcher.max_num_timeout",)
+"""What launchers take that their dataclasses lack: how often submitit queues again."""
+
+
 def check_known(config: DictConfig, section: str = "") -> None:
     """Raise ValueError if a configuration has options that its dataclasses do not.
 
@@ -83,7 +87,7 @@ def check_known(config: DictConfig, section: str = "") -> None:
         if name == "hydra":
             continue  # see check_known_to_hydra
         node = config._get_node(key)
-        if known is not None and key not in known:
+        if known is not None and key not in known and name not in _ALSO_TAKEN:
             value = node if isinstance(node, DictConfig) else config[key]
             raise ValueError(unknown_option(f"+{name}={value}", name, owner))
         if isinstance(node, DictConfig) and not node._is_none():
