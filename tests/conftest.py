@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -144,6 +145,18 @@ def make_member(actor: nn.Module, population: TensorDictBase, number: int) -> nn
         state[path if isinstance(path, str) else ".".join(path)] = value.clone()
     member.load_state_dict(state)
     return member
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _signals_as_of_a_terminal():
+    """What started the tests may ignore signals, as nohup does: runs would do so too."""
+    usual = {signal.SIGHUP: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
+    ignored = [n for n in usual if signal.getsignal(n) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, usual[number])
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture(autouse=True)
