@@ -17,7 +17,7 @@ from gdrl_torchrl.config.search import SearchConfig
 
 folder, number, storage = sys.argv[1:]
 
-def run(experiment):
+def run(experiment, overrides):
     time.sleep(0.1)
     path = pathlib.Path(folder, f"{number}-{time.monotonic_ns()}")
     path.mkdir(parents=True)
