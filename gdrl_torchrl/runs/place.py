@@ -25,7 +25,7 @@ RUN_VERSION = 1
 """Version of what runs compute and of the state that they go on from.
 
 Raised whenever a change of the code makes ``params_sha256`` of any experiment another one,
-or checkpoints of before unusable: ``tests/training/test_results_version.py`` notices.
+or checkpoints of before unusable: ``tests/runs/test_results_version.py`` notices.
 """
 _PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "numpy", "numba")
 """What numbers depend on."""

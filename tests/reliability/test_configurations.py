@@ -31,6 +31,7 @@ from gdrl_torchrl.evolution.settings import EVOLUTIONS, ErlConfig
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
 from gdrl_torchrl.runs.evaluate import evaluate_policy
+from tests import small
 
 # What every field is held to
 
@@ -257,38 +258,12 @@ SYSTEMS = [
     *[("ga", "none")] * 4,
     ("ga", "genetic"),
 ]
-LEARNER = {"num_worlds": 4, "frames_per_batch": 40}
 SMALL = {
-    "ppo": {**LEARNER, "minibatch_size": 20, "num_epochs": 1},
-    "rainbow": {
-        **LEARNER,
-        "minibatch_size": 16,
-        "updates_per_batch": 2,
-        "num_steps": 3,
-        "num_atoms": 11,
-        "warmup_steps": 60,
-        "replay_capacity": 200,
-    },
-    "ga": {
-        "population_size": 3,
-        "num_parents": 2,
-        "num_validated": 1,
-        "num_trials": 2,
-        "validation_trials": 2,
-    },
-    "water": {"goal_distance_m": [0.7, 1.2], "goal_tolerance_m": 0.6, "step_limit": 8},
-    "indoor": {"num_beams": 5, "goal_tolerance_m": 0.5, "step_limit": 8},
-    "genetic": {
-        "num_children": 2,
-        "num_trials": 2,
-        "period_episodes": 8,
-        "window_episodes": 4,
-        "screening_trials": 1,
-        "test_trials": 2,
-    },
-    "erl": {"population_size": 3, "num_elites": 1, "num_trials": 2, "period_episodes": 8},
-    "network": {"actor_cells": [8, 8], "critic_cells": [8]},
-    "evaluation": {"episodes": 2, "num_worlds": 2},
+    **small.ALGORITHMS,
+    **small.TASKS,
+    **small.OTHERS,
+    "genetic": {**small.GENETIC, "window_episodes": 4},
+    "erl": {**small.ERL, "period_episodes": 8},
     "simulation": {"num_threads": 1},
     "budget": {"total_steps": 1000},
 }

@@ -41,32 +41,11 @@ from gdrl_torchrl.runs import evaluate as evaluation
 from gdrl_torchrl.runs import monitor
 from gdrl_torchrl.runs.phases import PHASES
 from gdrl_torchrl.runs.run import run_experiment
+from tests.small import tiny_options
 
 POLICY = "final/policy.safetensors"
 CONTRACT = "final/contract.json"
-OVERRIDES = (
-    "experiment=gppo_water",
-    "task.sea=calm",
-    "task.goal_distance_m=[0.7,1.2]",
-    "task.goal_tolerance_m=0.6",
-    "task.step_limit=12",
-    "algorithm.num_worlds=4",
-    "algorithm.frames_per_batch=40",
-    "algorithm.minibatch_size=20",
-    "algorithm.num_epochs=1",
-    "network.actor_cells=[8]",
-    "evolution.num_children=2",
-    "evolution.num_trials=2",
-    "evolution.period_episodes=4",
-    "budget.agent_steps=120",
-    "evaluation.episodes=3",
-    "evaluation.num_worlds=2",
-    "logger.tensorboard=false",
-    "logger.video_episodes=0",
-    "simulation.num_threads=1",
-)
-
-
+OVERRIDES = tiny_options("gppo_water")
 COLUMNS = (
     *monitor.COLUMNS,
     *("loss_objective", "loss_critic", "grad_norm"),

@@ -7,6 +7,7 @@ import pytest
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.run import run_experiment
+from tests.small import small_options
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -35,7 +36,7 @@ PLAIN = [
 
 
 @pytest.fixture
-def small(tmp_path, small_options):
+def small(tmp_path):
     def compose(name, *overrides):
         runs = f"runs_dir={tmp_path / 'runs'}"
         return load_experiment([*small_options(name), *PLAIN, runs, *overrides])

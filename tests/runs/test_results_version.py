@@ -19,6 +19,7 @@ from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import TrainingState, seed_everything
 from gdrl_torchrl.runs.place import RUN_VERSION, provenance
 from gdrl_torchrl.runs.run import run_experiment
+from tests.small import small_options
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -60,7 +61,7 @@ def recorded():
 
 
 @pytest.fixture
-def small(tmp_path, small_options):
+def small(tmp_path):
     def compose(experiment):
         total = 1200 if experiment.startswith("ga_") else "null"
         return load_experiment(
