@@ -25,12 +25,11 @@ from torchrl.modules.models.models import DuelingMlpDQNet
 
 from gdrl_tasks import make_task
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor
-from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
 from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs.phases import PHASES
-from tests.small import EASY_WATER, tiny_options
+from tests.small import EASY_WATER, compose, tiny_options
 
 CONTINUOUS = ("deterministic", "sequential", "tanh_normal")
 DISCRETE = ("q_value", "distributional")
@@ -154,7 +153,7 @@ def easy_task_for() -> Callable[..., object]:
 
 def _composer(experiment: str, runs_dir: Path, *base: str) -> Callable[..., object]:
     chosen = tiny_options(experiment, [*base, f"runs_dir={runs_dir}"])
-    return lambda *overrides: load_experiment([*chosen, *overrides])
+    return lambda *overrides: compose([*chosen, *overrides])
 
 
 @pytest.fixture
@@ -166,8 +165,8 @@ def tiny(tmp_path: Path) -> Callable[..., object]:
 @pytest.fixture
 def tiny_rainbow(tmp_path: Path) -> Callable[..., object]:
     """The same for GRainbow indoors."""
-    share = "evolution.experience_share=0.5"
-    return _composer("grainbow_indoor", tmp_path / "runs", share)
+    few = ("task.num_beams=5", "evolution.experience_share=0.5")
+    return _composer("grainbow_indoor", tmp_path / "runs", *few)
 
 
 @pytest.fixture(params=["tiny", "tiny_rainbow"], ids=["gppo", "grainbow"])

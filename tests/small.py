@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import functools
 from collections.abc import Iterable
 from typing import Any
 
 from gdrl_torchrl.cli.shared.compose import load_experiment
+from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.settings import ErlConfig
 
 EASY_WATER = {
@@ -61,6 +65,23 @@ TINY = (
 """A run of three rows, with evaluations of its population: a second."""
 
 
+@functools.cache
+def _composed(overrides: tuple[str, ...]) -> ExperimentConfig:
+    return load_experiment(list(overrides))
+
+
+def compose(overrides: Iterable[str]) -> ExperimentConfig:
+    """Like ``load_experiment``, which takes a third of a second, once for each of them.
+
+    Where a run is put, which differs from test to test, is set afterwards.
+    """
+    chosen = tuple(overrides)
+    places = [o.partition("=")[2] for o in chosen if o.startswith("runs_dir=")]
+    config = _composed(tuple(o for o in chosen if not o.startswith("runs_dir=")))
+    config = copy.deepcopy(config)
+    return dataclasses.replace(config, runs_dir=places[-1]) if places else config
+
+
 def as_overrides(group: str, options: dict[str, Any]) -> list[str]:
     """The options of a group as arguments of a command."""
     return [f"{group}.{name}={value}".replace(" ", "") for name, value in options.items()]
@@ -69,7 +90,7 @@ def as_overrides(group: str, options: dict[str, Any]) -> list[str]:
 def small_options(experiment: str) -> list[str]:
     """Overrides that make an experiment small; it has 40 steps of the agent a row."""
     chosen = [f"experiment={experiment}"]
-    config = load_experiment(chosen)
+    config = compose(chosen)
     parts = OTHERS | {
         # An episode is short in every task; see easy_task for a task that is easy, too.
         "task": TASKS["indoor"],
@@ -88,5 +109,5 @@ def easy_options(task: str) -> list[str]:
 
 def tiny_options(experiment: str, overrides: Iterable[str] = ()) -> list[str]:
     """Overrides that make a run of a second of an experiment with a genetic hook."""
-    task = load_experiment([f"experiment={experiment}"]).task.name
+    task = compose([f"experiment={experiment}"]).task.name
     return [*small_options(experiment), *easy_options(task), *TINY, *overrides]

@@ -49,7 +49,9 @@ class FakeRuns:
         return 1.0 - abs(experiment.evolution.mut_v - BEST_MUT_V) - 0.01 * experiment.seed
 
     def __call__(self, experiment, overrides):
-        assert load_experiment(overrides) == experiment
+        if not self.experiments:
+            # Composing takes a third of a second: the first is as good as any.
+            assert load_experiment(overrides) == experiment
         self.experiments.append(experiment)
         number = len(self.experiments)
         if number == self.stop_at:

@@ -1,6 +1,5 @@
 """What dm_control's suite asks of its tasks, asked of every task registered here."""
 
-import functools
 import itertools
 
 import numpy as np
@@ -35,11 +34,10 @@ VARIANTS = {
     ],
 }
 CASES = [
-    pytest.param(name, options, id="-".join([name, *map(str, options)]))
+    pytest.param((name, options), id="-".join([name, *map(str, options)]))
     for name in gdrl_tasks.task_names()
     for options in VARIANTS.get(name, [{}])
 ]
-every_task = pytest.mark.parametrize(("name", "options"), CASES)
 
 
 def random_policy(action_spec, seed):
@@ -50,7 +48,7 @@ def random_policy(action_spec, seed):
     return lambda: generator.uniform(action_spec.minimum, action_spec.maximum)
 
 
-def trajectory(environment, *, seed, num_episodes=3, longest=12):
+def trajectory(environment, *, seed, num_episodes, longest):
     policy = random_policy(environment.action_spec(), seed)
     for _ in range(num_episodes):
         time_step = environment.reset()
@@ -62,22 +60,23 @@ def trajectory(environment, *, seed, num_episodes=3, longest=12):
             yield time_step
 
 
-@functools.cache
-def reason_not_to_render():
-    """Why no frame can be drawn here, or None; asked of an empty model."""
-    from dm_control import mujoco
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    """The name of a task and options of it."""
+    return request.param
 
-    try:
-        mujoco.Physics.from_xml_string("<mujoco/>").render(8, 8)
-    except Exception as error:
-        return f"no OpenGL backend: {error}"
-    return None
+
+@pytest.fixture(scope="module")
+def played(case):
+    """An environment and what its first two episodes gave; it may be played on."""
+    name, options = case
+    environment = gdrl_tasks.load(name, random=0, **options)
+    return environment, list(trajectory(environment, seed=0, num_episodes=2, longest=60))
 
 
 @pytest.fixture
-def opengl():
-    if reason_not_to_render():
-        pytest.skip(reason_not_to_render())
+def environment(played):
+    return played[0]
 
 
 def test_both_tasks_are_registered():
@@ -86,9 +85,8 @@ def test_both_tasks_are_registered():
     assert gdrl_tasks.task_names("no such tag") == ()
 
 
-@every_task
-def test_every_element_of_the_model_has_a_name(name, options):
-    model = gdrl_tasks.load(name, **options).physics.model
+def test_every_element_of_the_model_has_a_name(environment):
+    model = environment.physics.model
     counts = {
         "body": model.nbody,
         "joint": model.njnt,
@@ -115,20 +113,17 @@ def test_every_element_of_the_model_has_a_name(name, options):
     assert model.id2name(0, "body") == "world"
 
 
-@every_task
-def test_a_model_has_a_top_and_a_chase_camera(name, options):
-    model = gdrl_tasks.load(name, **options).physics.model
+def test_a_model_has_a_top_and_a_chase_camera(environment):
+    model = environment.physics.model
     cameras = {model.id2name(number, "camera") for number in range(model.ncam)}
     assert cameras >= {"top", "chase"}
 
 
-@every_task
-def test_time_steps_conform_to_the_specs(name, options):
-    environment = gdrl_tasks.load(name, random=1, **options)
-    task = environment.task.task
+def test_time_steps_conform_to_the_specs(played):
+    environment, steps = played
     observation_spec = environment.observation_spec()
-    low, high = task.spec.reward_range
-    for time_step in trajectory(environment, seed=1):
+    low, high = environment.task.task.spec.reward_range
+    for time_step in steps:
         assert time_step.observation.keys() == observation_spec.keys()
         for key, spec in observation_spec.items():
             spec.validate(time_step.observation[key])
@@ -143,22 +138,28 @@ def test_time_steps_conform_to_the_specs(name, options):
             environment.discount_spec().validate(np.asarray(time_step.discount))
 
 
-@every_task
-@pytest.mark.parametrize("flat_observation", [False, True])
-def test_every_element_of_a_spec_has_bounds_of_its_own(name, options, flat_observation):
-    kwargs = {"flat_observation": flat_observation}
-    environment = gdrl_tasks.load(name, environment_kwargs=kwargs, **options)
+def assert_bounds_of_every_element(environment):
     for spec in (environment.action_spec(), *environment.observation_spec().values()):
         assert np.shape(spec.minimum) == spec.shape
         assert np.shape(spec.maximum) == spec.shape
-    observation = environment.reset().observation
-    for key, spec in environment.observation_spec().items():
-        assert (observation[key].shape, observation[key].dtype) == (spec.shape, spec.dtype)
 
 
-@every_task
-def test_continuous_actions_are_commands_between_minus_one_and_one(name, options):
-    spec = gdrl_tasks.load(name, **options).action_spec()
+def test_observations_can_be_flat(case, environment):
+    name, options = case
+    kwargs = {"flat_observation": True}
+    flat = gdrl_tasks.load(name, random=0, environment_kwargs=kwargs, **options)
+    for one in (environment, flat):
+        assert_bounds_of_every_element(one)
+        one.task.next_episode_seed = 3
+    (key,) = flat.observation_spec()
+    observation = flat.reset().observation
+    flat.observation_spec()[key].validate(observation[key])
+    expected = np.concatenate(list(environment.reset().observation.values()))
+    np.testing.assert_array_equal(observation[key], expected)
+
+
+def test_continuous_actions_are_commands_between_minus_one_and_one(environment):
+    spec = environment.action_spec()
     if isinstance(spec, specs.DiscreteArray):
         assert spec.num_values > 1
     else:
@@ -166,11 +167,11 @@ def test_continuous_actions_are_commands_between_minus_one_and_one(name, options
         assert (spec.maximum == 1.0).all()
 
 
-@every_task
-def test_equal_seeds_and_actions_give_equal_trajectories(name, options):
-    first = trajectory(gdrl_tasks.load(name, random=7, **options), seed=0)
-    second = trajectory(gdrl_tasks.load(name, random=7, **options), seed=0)
-    for one, other in zip(first, second, strict=True):
+def test_equal_seeds_and_actions_give_equal_trajectories(case, played):
+    name, options = case
+    environment = gdrl_tasks.load(name, random=0, **options)
+    again = trajectory(environment, seed=0, num_episodes=2, longest=60)
+    for one, other in zip(played[1], again, strict=True):
         assert one.step_type == other.step_type
         assert one.reward == other.reward
         assert one.discount == other.discount
@@ -178,18 +179,16 @@ def test_equal_seeds_and_actions_give_equal_trajectories(name, options):
             np.testing.assert_array_equal(value, other.observation[key])
 
 
-@every_task
-def test_seeds_change_the_episodes(name, options):
+@pytest.mark.parametrize("name", gdrl_tasks.task_names())
+def test_seeds_change_the_episodes(name):
     def first_observation(seed):
-        observation = gdrl_tasks.load(name, random=seed, **options).reset().observation
+        observation = gdrl_tasks.load(name, random=seed).reset().observation
         return np.concatenate(list(observation.values()))
 
     assert (first_observation(0) != first_observation(1)).any()
 
 
-@every_task
-def test_the_initial_state_is_randomised(name, options):
-    environment = gdrl_tasks.load(name, random=42, **options)
+def test_the_initial_state_is_randomised(environment):
     starts = []
     for _ in range(2):
         observation = environment.reset().observation
@@ -199,9 +198,7 @@ def test_the_initial_state_is_randomised(name, options):
     assert (starts[0][1] != starts[1][1]).any()
 
 
-@every_task
-def test_observations_share_no_memory(name, options):
-    environment = gdrl_tasks.load(name, random=0, **options)
+def test_observations_share_no_memory(environment):
     policy = random_policy(environment.action_spec(), 0)
     steps = [environment.reset(), *(environment.step(policy()) for _ in range(2))]
     for earlier, later in itertools.pairwise(steps):
@@ -209,10 +206,8 @@ def test_observations_share_no_memory(name, options):
             assert not np.may_share_memory(value, later.observation[key])
 
 
-@every_task
-def test_no_element_of_an_observation_is_constant(name, options):
-    environment = gdrl_tasks.load(name, random=0, **options)
-    steps = list(trajectory(environment, seed=0, num_episodes=2, longest=60))
+def test_no_element_of_an_observation_is_constant(played):
+    environment, steps = played
     for key in environment.observation_spec():
         values = np.array([step.observation[key] for step in steps])
         assert (values != values[0]).any(axis=0).all(), f"{key} has a constant element"
@@ -250,22 +245,7 @@ def test_environments_without_a_seed_play_other_episodes():
     assert first["goal_bearing"] != second["goal_bearing"]
 
 
-@every_task
-def test_observations_can_be_flat(name, options):
-    named = gdrl_tasks.load(name, random=0, **options)
-    flat = gdrl_tasks.load(
-        name, random=0, environment_kwargs={"flat_observation": True}, **options
-    )
-    (key,) = flat.observation_spec()
-    observation = flat.reset().observation
-    flat.observation_spec()[key].validate(observation[key])
-    expected = np.concatenate(list(named.reset().observation.values()))
-    np.testing.assert_array_equal(observation[key], expected)
-
-
-@every_task
-def test_time_between_actions_is_the_control_interval(name, options):
-    environment = gdrl_tasks.load(name, random=0, **options)
+def test_time_between_actions_is_the_control_interval(environment):
     environment.reset()
     start = environment.physics.time()
     environment.step(random_policy(environment.action_spec(), 0)())
@@ -286,7 +266,10 @@ def progress_weight(name, options):
     return 1.0 if options.get("reward") == "dense" else 0.0
 
 
-@every_task
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [*((name, {}) for name in gdrl_tasks.task_names()), ("water", {"reward": "dense"})],
+)
 @pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
 def test_an_episode_ends_at_its_step_limit(name, options, at_limit):
     options = options | {"at_limit": at_limit, "step_limit": 5}
@@ -374,11 +357,9 @@ def test_the_goal_wins_over_a_timeout_in_the_same_step(way, at_limit):
     assert early[-1].reward == -1.0
 
 
-@every_task
-def test_running_rewards_are_the_progress_towards_the_goal(name, options):
-    environment = gdrl_tasks.load(name, random=2, **options)
+def test_running_rewards_are_the_progress_towards_the_goal(case, environment):
     policy = random_policy(environment.action_spec(), 2)
-    weight, rewards = progress_weight(name, options), []
+    weight, rewards = progress_weight(*case), []
     for _ in range(2):
         environment.reset()
         for _ in range(10):
@@ -393,107 +374,8 @@ def test_running_rewards_are_the_progress_towards_the_goal(name, options):
     assert np.any(rewards) == (weight > 0.0)
 
 
-@every_task
-def test_the_mark_of_the_goal_stands_at_the_goal(name, options):
-    environment = gdrl_tasks.load(name, random=0, **options)
+def test_the_mark_of_the_goal_stands_at_the_goal(environment):
     for _ in range(2):
         environment.reset()
         mark = environment.physics.named.data.xpos["goal"]
         np.testing.assert_allclose(mark[:2], environment.task.arrays["goal"][0])
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("name", gdrl_tasks.task_names())
-def test_both_cameras_draw_a_picture(name, opengl):
-    environment = gdrl_tasks.load(name, random=0)
-    environment.reset()
-    frames = [environment.physics.render(120, 160, camera_id=c) for c in ("top", "chase")]
-    for frame in frames:
-        assert frame.shape == (120, 160, 3)
-        assert frame.dtype == np.uint8
-        assert frame.std() > 3.0
-    assert (frames[0] != frames[1]).mean() > 0.2
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("name", gdrl_tasks.task_names())
-def test_rendering_does_not_change_what_happens(name, opengl):
-    seen, unseen = (gdrl_tasks.load(name, random=0) for _ in range(2))
-    policy = random_policy(seen.action_spec(), 0)
-    seen.reset(), unseen.reset()
-    for _ in range(10):
-        action = policy()
-        seen.physics.render(32, 32, camera_id="chase")
-        seen.step(action), unseen.step(action)
-        np.testing.assert_array_equal(seen.physics.get_state(), unseen.physics.get_state())
-
-
-@pytest.mark.render
-def test_waves_are_visible_and_move(opengl):
-    def frames(sea):
-        environment = gdrl_tasks.load("water", random=0, sea=sea)
-        environment.reset()
-        views = []
-        for _ in range(2):
-            views.append(environment.physics.render(240, 320, camera_id="top"))
-            for _ in range(3):
-                environment.step(np.zeros(2))
-        return np.array(views, dtype=float)[:, :, :60]
-
-    lake, calm = frames("lake"), frames("calm")
-    assert calm.std(axis=(1, 2)).max() < 1.0
-    assert lake.std(axis=(1, 2)).min() > 3.0
-    assert np.abs(lake[1] - lake[0]).mean() > 3.0
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("difficulty", ["near", "far"])
-def test_the_top_camera_sees_the_whole_range_of_goals(difficulty, opengl):
-    environment = gdrl_tasks.load("water", random=0, difficulty=difficulty)
-    environment.reset()
-    farthest = environment.task.task.options.goal_distance_m[1]
-    for goal in ((0.0, farthest), (0.0, -farthest), (farthest, 0.0), (-farthest, 0.0)):
-        environment.physics.data.mocap_pos[0, :2] = goal
-        environment.task.arrays["goal"][0] = goal
-        ids = environment.physics.render(240, 320, camera_id="top", segmentation=True)
-        geom = environment.physics.model.name2id("goal_mark", "geom")
-        assert (ids[..., 0] == geom).any()
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
-def test_the_top_camera_sees_the_whole_arena(arena, opengl):
-    environment = gdrl_tasks.load("indoor", random=0, arena=arena)
-    environment.reset()
-    physics = environment.physics
-    half_x, half_y = environment.task.task.arena.half_extent_m
-    for x, y in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
-        physics.data.mocap_pos[0, :2] = x * (half_x - 0.2), y * (half_y - 0.2)
-        physics.forward()
-        ids = physics.render(240, 320, camera_id="top", segmentation=True)
-        geom = physics.model.name2id("goal_disc", "geom")
-        assert ((ids[..., 0] == geom) & (ids[..., 1] == 5)).any()
-    walls = {physics.model.name2id(f"obstacle_{n}", "geom") for n in range(4)}
-    assert walls <= set(ids[..., 0].ravel().tolist())
-
-
-@pytest.mark.render
-def test_the_drawn_surface_is_where_the_water_is(opengl):
-    environment = gdrl_tasks.load(
-        "water", random=0, significant_wave_height_m=0.4, peak_period_s=2.0
-    )
-    environment.reset()
-    environment.step(np.zeros(2))
-    environment.physics.render(16, 16, camera_id="top")
-    model, data = environment.physics.model, environment.physics.data
-    from gdrl_tasks.water.waves import elevation
-
-    drawn = model.skin_vert.reshape(-1, 3)
-    drawn = drawn[np.hypot(*(drawn[:, :2] - data.qpos[:2]).T) < 1.0]
-    assert len(drawn) > 500
-    sea = environment.task.arrays
-    x, y = drawn[None, :, 0].astype(float), drawn[None, :, 1].astype(float)
-    expected = elevation(sea, x, y, np.array([data.time]))[0]
-    assert np.ptp(expected) > 0.05
-    # Farther away the drawn surface is smoother, because its points are farther apart.
-    np.testing.assert_allclose(drawn[:, 2], expected, atol=0.02)

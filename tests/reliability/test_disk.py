@@ -14,7 +14,6 @@ from gdrl_torchrl.cli.evaluate import evaluate_run
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.run_table import run_row
-from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs.run import run_experiment
 
 ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
@@ -22,10 +21,7 @@ ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
 
 
 @pytest.fixture
-def run_on(options_of, monkeypatch):
-    for name in ("draw_learning_curve", "draw_trajectories"):
-        monkeypatch.setattr(figures, name, lambda path: None)
-
+def run_on(options_of, without_figures):
     def run(folder):
         small = ["budget.agent_steps=400", "checkpoint.interval_s=0"]
         options = [*options_of("gppo_water"), *small, f"runs_dir={folder}"]

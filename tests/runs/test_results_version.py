@@ -14,12 +14,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import TrainingState, seed_everything
 from gdrl_torchrl.runs.place import RUN_VERSION, provenance
 from gdrl_torchrl.runs.run import run_experiment
-from tests.small import small_options
+from tests.small import compose, small_options
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -62,9 +61,9 @@ def recorded():
 
 @pytest.fixture
 def small(tmp_path):
-    def compose(experiment):
+    def make(experiment):
         total = 1200 if experiment.startswith("ga_") else "null"
-        return load_experiment(
+        return compose(
             [
                 *small_options(experiment),
                 "logger.tensorboard=false",
@@ -75,7 +74,7 @@ def small(tmp_path):
             ]
         )
 
-    return compose
+    return make
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)

@@ -12,39 +12,42 @@ NUM_WORLDS = 56
 
 VARIANTS = {
     "water": {"name": "water"},
-    "calm": {"name": "water", "sea": "calm", "step_limit": 60},
-    "rough": {"name": "water", "sea": "rough", "step_limit": 60},
-    "far": {"name": "water", "difficulty": "far", "step_limit": 80},
-    "thruster pairs": {"name": "water", "actions": "discrete", "step_limit": 60},
-    "dense": {"name": "water", "reward": "dense", "step_limit": 60},
-    "truncated": {"name": "water", "at_limit": "truncated", "step_limit": 40},
-    "current": {"name": "water", "current_m_s": 0.4, "step_limit": 60},
-    "extras": {
+    "far in a rough sea with a current": {
         "name": "water",
+        "sea": "rough",
+        "difficulty": "far",
+        "current_m_s": 0.4,
+        "reward": "dense",
         "extra_observations": ("velocity", "roll", "time_left"),
         "step_limit": 60,
     },
-    "compensated": {"name": "water", "dead_zone_compensated": True, "step_limit": 60},
-    "indoor": {"name": "indoor", "step_limit": 200},
-    "scatter": {"name": "indoor", "arena": "scatter", "step_limit": 90},
-    "corridor": {"name": "indoor", "arena": "corridor", "step_limit": 60},
-    "continuous": {"name": "indoor", "actions": "continuous", "step_limit": 60},
-    "scan hold": {"name": "indoor", "scan_hold": True, "step_limit": 40},
-    "range noise": {
-        "name": "indoor",
-        "range_noise": True,
-        "scan_hold": True,
+    "thruster pairs, cut off": {
+        "name": "water",
+        "sea": "calm",
+        "actions": "discrete",
+        "dead_zone_compensated": True,
+        "at_limit": "truncated",
         "step_limit": 40,
     },
-    "burger": {"name": "indoor", "wheel_speed_limit": "burger", "step_limit": 60},
-    "cut off": {"name": "indoor", "at_limit": "truncated", "step_limit": 40},
-    "all round": {
+    "indoor": {"name": "indoor", "step_limit": 200},
+    "scattered, held and noisy": {
         "name": "indoor",
+        "arena": "scatter",
+        "actions": "continuous",
+        "scan_hold": True,
+        "range_noise": True,
+        "goal_tolerance_m": 0.05,
+        "step_limit": 90,
+    },
+    "a corridor all round, cut off": {
+        "name": "indoor",
+        "arena": "corridor",
+        "wheel_speed_limit": "burger",
         "num_beams": 36,
         "field_of_view_deg": 360.0,
-        "step_limit": 40,
+        "at_limit": "truncated",
+        "step_limit": 60,
     },
-    "small goal": {"name": "indoor", "goal_tolerance_m": 0.05, "step_limit": 90},
     "fast": {
         "name": "indoor",
         "arena": "scatter",
@@ -53,6 +56,7 @@ VARIANTS = {
         "step_limit": 60,
     },
 }
+"""Every option once; they do not depend on each other."""
 TWO_OF_A_KIND = [
     {"name": "water"},
     {"name": "indoor"},

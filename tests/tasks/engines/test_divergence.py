@@ -46,6 +46,10 @@ INJURIES = [
     spin_out_of_control,
 ]
 every_injury = pytest.mark.parametrize("injure", INJURIES, ids=lambda f: f.__name__)
+# One that the state shows, and one that only the engine finds.
+both_kinds = pytest.mark.parametrize(
+    "injure", [break_position, spin_out_of_control], ids=lambda f: f.__name__
+)
 every_task = pytest.mark.parametrize("name", ["water", "indoor"])
 
 
@@ -84,9 +88,8 @@ def assert_others_untouched(worlds, healthy, others):
 
 @every_task
 @every_injury
-@pytest.mark.parametrize("num_threads", [1, 2])
-def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, name, silence):
-    worlds, healthy = started(name, num_threads), started(name, num_threads)
+def test_a_world_with_a_bad_state_diverges_alone(injure, name, silence):
+    worlds, healthy = started(name, num_threads=2), started(name, num_threads=2)
     actions = random_actions(worlds.task, (4, NUM_WORLDS))
     others = np.delete(np.arange(NUM_WORLDS), 7)
     worlds.step(actions[0])
@@ -111,7 +114,7 @@ def test_a_world_with_a_bad_state_diverges_alone(injure, num_threads, name, sile
 
 
 @every_task
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
 def test_a_world_whose_action_is_not_finite_diverges_alone(value, name, silence):
     worlds, healthy = (started(name, actions="continuous") for _ in range(2))
     action = np.full((NUM_WORLDS, 2), 0.8)
@@ -137,7 +140,7 @@ def test_a_discrete_action_that_is_not_a_number_diverges(name, silence):
 
 
 @every_task
-@every_injury
+@both_kinds
 def test_a_diverged_world_stays_diverged_until_its_reset(injure, name, silence):
     worlds = started(name)
     action = random_actions(worlds.task, (NUM_WORLDS,))
@@ -175,7 +178,7 @@ def test_divergence_hides_a_truncation(name, silence):
 
 
 @every_task
-@every_injury
+@both_kinds
 def test_the_dm_control_route_ends_the_episode_too(injure, name, silence):
     environment = gdrl_tasks.load(name, random=0)
     actions = random_actions(environment.task.task, (5,))
@@ -187,12 +190,11 @@ def test_the_dm_control_route_ends_the_episode_too(injure, name, silence):
 
 
 @every_task
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_the_dm_control_route_ends_on_a_bad_action_too(value, name, silence):
+def test_the_dm_control_route_ends_on_a_bad_action_too(name, silence):
     environment = gdrl_tasks.load(name, random=0, actions="continuous")
     actions = random_actions(environment.task.task, (5,))
     environment.reset()
-    time_step = environment.step(np.array([0.5, value]))
+    time_step = environment.step(np.array([0.5, np.nan]))
     fresh = gdrl_tasks.load(name, actions="continuous")
     check_diverged(environment, time_step, actions, fresh)
 
@@ -231,7 +233,7 @@ def test_a_rough_sea_and_wild_actions_do_not_diverge(silence):
 
 
 @every_task
-@every_injury
+@both_kinds
 @pytest.mark.parametrize("num_threads", [1, 2])
 def test_the_step_that_diverged_is_told_once_and_can_be_repeated(
     injure, num_threads, name, silence

@@ -10,8 +10,7 @@ import gdrl_tasks
 from gdrl_tasks import Outcome
 
 VARIANTS = {
-    "water": {"name": "water"},
-    "water with current": {"name": "water", "current_m_s": 0.4, "reward": "dense"},
+    "water": {"name": "water", "current_m_s": 0.4, "reward": "dense"},
     "indoor": {"name": "indoor"},
     "indoor with everything": {
         "name": "indoor",

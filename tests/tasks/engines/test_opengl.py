@@ -1,6 +1,7 @@
 """OpenGL, a task and Triton can come into a process in any order."""
 
 import functools
+import itertools
 import os
 import subprocess
 import sys
@@ -66,8 +67,15 @@ def reason_not_to_use(backend):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["egl", "osmesa", "disable"])
-@pytest.mark.parametrize("order", list(ORDERS))
+@pytest.mark.parametrize(
+    ("order", "backend"),
+    [
+        *((order, "egl") for order in ORDERS),
+        # Mesa's software driver without a screen, and none: the order that ends in
+        # torch, and the one that begins with it.
+        *itertools.product(("suite first", "torch, then suite"), ("osmesa", "disable")),
+    ],
+)
 def test_any_order_of_imports_loads_a_task_and_draws_it(order, backend):
     reason = reason_not_to_use(backend)
     if reason:
