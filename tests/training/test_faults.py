@@ -156,7 +156,7 @@ def test_a_skipped_update_changes_nothing(tiny_rainbow, broken_at):
     config = tiny_rainbow("faults.on_non_finite_update=skip")
     seed_everything(0)
     training = build_training(config)
-    learner = training.agent.parts["learner"]
+    learner = training.agent.learner
     for batch in itertools.islice(training.agent.collector, 3):
         learner.store(batch)
     minibatch = learner.draw(None)
