@@ -183,16 +183,16 @@ def run_ten_iterations(config):
     """Train, then evaluate."""
     seed_everything(config.seed)
     training = build_training(config)
-    trainer, iterations = training.agent.trainer, []
+    loop, iterations = training.loop, []
 
     def count():
         iterations.append(len(iterations))
         if len(iterations) == 10:
-            trainer.request_stop()
+            loop.request_stop()
 
-    trainer.register_op("post_steps", count)
+    loop.register_op("post_steps", count)
     try:
-        trainer.train()
+        loop.train()
         scores = evaluate_policy(
             training.task,
             training.agent.actor,

@@ -150,16 +150,17 @@ def test_a_parameter_that_is_not_finite_is_never_skipped(tiny_of_each, broken_at
 
 def test_a_skipped_update_changes_nothing(tiny_rainbow, broken_at):
     """Neither weights nor moments nor priorities."""
+    from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
     from gdrl_torchrl.runs.build import build_training
     from gdrl_torchrl.runs.checkpoint import seed_everything
 
     config = tiny_rainbow("faults.on_non_finite_update=skip")
     seed_everything(0)
     training = build_training(config)
-    learner = training.agent.parts["learner"]
+    learner = training.agent.learner
     for batch in itertools.islice(training.agent.collector, 3):
         learner.store(batch)
-    minibatch = learner.draw(None)
+    minibatch = draw_minibatch(learner.buffer)
 
     def state():
         optimizer = training.agent.optimizer.state_dict()["state"]
@@ -169,15 +170,15 @@ def test_a_skipped_update_changes_nothing(tiny_rainbow, broken_at):
         kept = tensors_of(learner.state_dict()["buffer"])
         return [x.clone() for x in (*weights, *moments, *kept)]
 
-    learner.step(None, minibatch)
+    learner.step(minibatch)
     before = state()
     broken_at(1, break_gradient)
-    learner.step(None, minibatch)
+    learner.step(minibatch)
     after = state()
     assert len(before) == len(after)
     for one, other in zip(before, after, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=0)
-    learner.step(None, minibatch)
+    learner.step(minibatch)
     assert any(not torch.equal(x, y) for x, y in zip(before, state(), strict=True))
     training.close()
 

@@ -7,7 +7,7 @@ import csv
 import pytest
 
 from gdrl_torchrl.config.schema import BudgetConfig
-from gdrl_torchrl.runs.monitor import COLUMNS, is_spent
+from gdrl_torchrl.runs.monitor import COLUMNS
 from gdrl_torchrl.runs.phases import PHASES
 from gdrl_torchrl.runs.run import run_experiment
 
@@ -86,4 +86,4 @@ class TestBudgets:
 )
 def test_the_first_budget_that_is_reached_ends_training(limits, spent):
     counters = {"agent_steps": 100, "total_steps": 300, "wall_s": 2.0}
-    assert is_spent(BudgetConfig(**limits), counters) == spent
+    assert BudgetConfig(**limits).is_spent(counters) == spent

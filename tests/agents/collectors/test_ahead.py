@@ -146,7 +146,8 @@ def test_a_state_goes_on_as_if_nothing_had_been(ahead, in_process, tmp_path):
 def test_a_state_that_does_not_fit_is_refused(ahead):
     collector = ahead(make_policy())
     state = collector.state_dict()
-    state["worlds"]["env"]["qpos"] = state["worlds"]["env"]["qpos"][:1]
+    worlds = state["worlds"]["collector"]["env"]
+    worlds["qpos"] = worlds["qpos"][:1]
     with pytest.raises(ValueError, match="qpos has shape"):
         collector.load_state_dict(state)
 

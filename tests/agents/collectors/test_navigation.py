@@ -159,13 +159,16 @@ def test_a_reset_begins_new_episodes():
     collector.shutdown()
 
 
-def test_other_environments_get_the_collector_of_torchrl():
+def test_worlds_of_dm_control_are_stepped_by_torchrl_and_have_no_state():
     env = make_env(task_of("water"), 2, backend="dm_control")
     collector = make_collector(
         env, normal(task_of("water")), frames_per_batch=4, policy_keys=[]
     )
-    assert type(collector) is Collector
-    assert next(iter(collector)).batch_size == (2, 2)
+    batches = iter(collector)
+    assert next(batches).batch_size == (2, 2)
+    assert collector.state_dict() == {"env": {}}
+    collector.load_state_dict(collector.state_dict())
+    assert (next(batches)["time_left"][:, 0] == 1.0).all(), "episodes begin anew"
     collector.shutdown()
 
 

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
+from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
 from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
@@ -27,28 +28,30 @@ def training_of(tiny_rainbow):
 
     yield build
     for training in made:
-        training.agent.collector.shutdown()
         training.close()
 
 
 def collected(training, batches):
     """Collect and store; the batches."""
     iterator = iter(training.agent.collector)
-    learner = training.agent.parts["learner"]
-    return [learner.store(next(iterator)) for _ in range(batches)]
+    learner = training.agent.learner
+    found = [next(iterator) for _ in range(batches)]
+    for batch in found:
+        learner.store(batch)
+    return found
 
 
 def update(training):
-    learner = training.agent.parts["learner"]
-    batch = learner.draw(None)
-    learner.step(training.agent.trainer, batch)
+    learner = training.agent.learner
+    batch = draw_minibatch(learner.buffer)
+    learner.step(batch, diagnose=True)
     return batch, learner.update.means.take()
 
 
 def test_every_collected_step_is_stored_once(training_of):
     training = training_of("algorithm.replay_capacity=1000")
     batches = collected(training, 3)
-    learner = training.agent.parts["learner"]
+    learner = training.agent.learner
     stored = learner.buffer[:]
     assert len(stored) == 3 * 40
     seen = torch.cat([batch["observation"].reshape(-1, 7) for batch in batches])
@@ -60,7 +63,7 @@ def test_every_collected_step_is_stored_once(training_of):
 
 def test_epsilon_decays_with_completed_episodes(training_of):
     training = training_of("algorithm.epsilon_decay=0.9", "algorithm.epsilon_end=0.3")
-    learner = training.agent.parts["learner"]
+    learner = training.agent.learner
     assert float(learner.exploration.eps) == 1.0
     batches = collected(training, 1)
     ended = int(batches[0]["next", "done"].sum())
@@ -78,7 +81,7 @@ def test_collected_actions_explore_and_greedy_ones_do_not(training_of):
     assert len(batch["action"].unique()) == 5
     greedy = training.agent.actor(batch.select("observation").clone())["action"]
     assert (greedy != batch["action"]).float().mean() > 0.5
-    training.agent.parts["learner"].exploration.eps.fill_(0.0)
+    training.agent.learner.exploration.eps.fill_(0.0)
     batch = next(iter(training.agent.collector))
     greedy = training.agent.actor(batch.select("observation").clone())["action"]
     assert (greedy == batch["action"]).all()
@@ -87,10 +90,9 @@ def test_collected_actions_explore_and_greedy_ones_do_not(training_of):
 def test_nothing_is_learnt_while_the_buffer_warms_up(training_of):
     training = training_of("algorithm.warmup_steps=70")
     before = genome_of(training.agent.actor)
-    trainer, learner = training.agent.trainer, training.agent.parts["learner"]
-    training.evolution.period_episodes = 1_000_000
-    trainer.total_frames = 40
-    trainer.train()
+    learner = training.agent.learner
+    learner.learn(next(iter(training.agent.collector)))
+    assert len(learner.buffer) == 40
     assert learner.num_updates == 0
     assert (genome_of(training.agent.actor) == before).all()
 
@@ -100,7 +102,7 @@ def test_an_update_moves_agent_target_priorities_and_beta(training_of):
         "algorithm.target_tau=0.25", "algorithm.replay_beta_increment=0.1"
     )
     collected(training, 2)
-    learner, loss = training.agent.parts["learner"], training.agent.loss
+    learner, loss = training.agent.learner, training.agent.loss
     online = loss.value_network_params.data.clone()
     target = loss.target_value_network_params.data.clone()
     batch, losses = update(training)
@@ -142,7 +144,7 @@ def test_no_target_of_a_whole_run_is_clipped(training_of):
 
 def test_noisy_networks_learn_their_noise_and_draw_it_anew(training_of):
     training = training_of("algorithm.exploration=noisy")
-    learner = training.agent.parts["learner"]
+    learner = training.agent.learner
     assert learner.exploration is None
     collected(training, 2)
 
@@ -210,7 +212,7 @@ class ScriptedEvaluator:
 def test_a_switch_moves_the_target_and_shares_experience(winner, training_of):
     training = training_of("evolution.target_tau=0.1", "evolution.experience_share=0.1")
     collected(training, 1)
-    learner, loss = training.agent.parts["learner"], training.agent.loss
+    learner, loss = training.agent.learner, training.agent.loss
     training.evolution.evaluator = ScriptedEvaluator(winner)
     target = loss.target_value_network_params.data.clone()
     online = loss.value_network_params.data.clone()
@@ -246,21 +248,21 @@ def test_a_restored_learner_goes_on_bit_by_bit(training_of):
     training = training_of()
     collected(training, 2)
     update(training)
-    learner, loss = training.agent.parts["learner"], training.agent.loss
+    learner, loss = training.agent.learner, training.agent.loss
     state = copy.deepcopy(
         [learner.state_dict(), loss.state_dict(), training.agent.optimizer.state_dict()]
     )
     expected = [update(training)[1] for _ in range(5)]
     other = training_of()
     collected(other, 1)
-    parts = [other.agent.parts["learner"], other.agent.loss, other.agent.optimizer]
+    parts = [other.agent.learner, other.agent.loss, other.agent.optimizer]
     for part, value in zip(parts, state, strict=True):
         part.load_state_dict(value)
     for losses in expected:
         _, mine = update(other)
         assert mine["loss"] == losses["loss"]
         assert mine["grad_norm"] == losses["grad_norm"]
-    assert other.agent.parts["learner"].num_episodes == learner.num_episodes
-    assert float(other.agent.parts["learner"].exploration.eps) == pytest.approx(
+    assert other.agent.learner.num_episodes == learner.num_episodes
+    assert float(other.agent.learner.exploration.eps) == pytest.approx(
         float(learner.exploration.eps)
     )

@@ -173,8 +173,8 @@ def test_a_watch_counts_by_itself():
 
 def test_a_bare_agent_has_a_watch_and_no_hook(tiny):
     training = build_training(tiny("evolution=none"))
-    training.agent.trainer.total_frames = 40
-    training.agent.trainer.train()
+    training.loop.register_op("post_steps", training.loop.request_stop)
+    training.loop.train()
     assert training.evolution is None
     assert training.watch.episodes_completed >= 1
     training.close()
@@ -292,9 +292,7 @@ def take_a_step(module, optimizer, *, weight=1.0):
 def test_the_moments_of_the_actor_alone_are_reset_on_a_switch(choice, tiny):
     seed_everything(0)
     training = build_training(tiny(f"evolution.optimizer_on_switch={choice}"))
-    training.agent.trainer.total_frames = 40
-    training.evolution.period_episodes = 1_000_000
-    training.agent.trainer.train()
+    training.agent.learner.learn(next(iter(training.agent.collector)))
     optimizer, hook = training.agent.optimizer, training.evolution
     actor = {id(p) for p in training.agent.actor.parameters()}
     before = {id(p) for p in optimizer.state}
@@ -364,7 +362,7 @@ def test_the_collector_acts_with_the_new_weights(tiny):
     seed_everything(0)
     training = build_training(tiny())
     training.evolution.evaluator = ScriptedEvaluator(CHILD_WINS)
-    batches = iter(training.agent.trainer.collector)
+    batches = iter(training.agent.collector)
     next(batches)
     before = genome_of(training.agent.actor)
     assert training.evolution.evaluate().switched
@@ -375,7 +373,6 @@ def test_the_collector_acts_with_the_new_weights(tiny):
     )["loc"]
     assert torch.allclose(batch["loc"], new, atol=1e-6)
     assert not (genome_of(training.agent.actor) == before).all()
-    training.agent.trainer.collector.shutdown()
     training.close()
 
 
@@ -516,6 +513,7 @@ def test_it_registers_on_torchrls_own_ppo_trainer():
         on_evaluation=[heard.append],
     )
     hook.register(trainer)
+    assert any("genetic_hook" in str(key) for key in _keys(trainer.state_dict()))
     trainer.train()
     assert hook.watch.episodes_completed >= 6
     assert 2 <= len(heard) <= 3, "at most one evaluation a batch"
@@ -523,15 +521,6 @@ def test_it_registers_on_torchrls_own_ppo_trainer():
     assert all((e.scores["steps"] <= 25).all() for e in heard)
     assert hook.counts.switches == sum(e.switched for e in heard)
     evaluator.close()
-
-
-def test_the_trainer_keeps_the_hooks_state(tiny):
-    training = build_training(tiny())
-    training.evolution.counts.evaluations = 4
-    state = training.agent.trainer.state_dict()
-    assert any("genetic_hook" in str(key) for key in _keys(state))
-    training.agent.trainer.collector.shutdown()
-    training.close()
 
 
 def _keys(state):

@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.agents.loop import GenerationLoop
 from gdrl_torchrl.evolution.hooks.genetic_algorithm import GeneticAlgorithm
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 
@@ -127,15 +126,3 @@ def test_a_restored_population_goes_on_identically(start):
 def test_numbers_that_cannot_be_are_refused_by_name(name, value, start):
     with pytest.raises(ValueError, match=name):
         start(**{name: value})
-
-
-def test_the_loop_calls_its_hooks_in_order_until_one_asks_it_to_stop():
-    loop, calls = GenerationLoop(), []
-    loop.register_op("batch_process", lambda: calls.append("no batches here"))
-    loop.register_op("post_steps", lambda: calls.append("a"))
-    loop.register_op("post_steps", lambda: len(calls) > 4 and loop.request_stop())
-    loop.register_op("post_steps", lambda: calls.append("b"))
-    loop.train()
-    assert calls == ["a", "b"] * 3
-    loop.train()
-    assert calls == ["a", "b"] * 4
