@@ -183,7 +183,7 @@ def test_the_running_trial_of_another_process_is_left_alone(tmp_path):
     second.optimize()
     may_end.set()
     worker.join(60)
-    states = [trial.state.name for trial in second.study.get_trials()]
+    states = [trial.state.name for trial in second.finished()]
     assert states == ["COMPLETE"] * 2
     assert len(runs.experiments) == 1
     tried = [e.evolution.mut_v for e in (*waiting.experiments, *runs.experiments)]

@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 
 import gdrl_torchrl.config
 from gdrl_tasks import task_names, task_options
+from gdrl_torchrl.agents.registry import ALGORITHMS, algorithm_configs
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.config.algorithms import ALGORITHMS, algorithm_configs
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
 from gdrl_torchrl.config.search import SearchConfig
