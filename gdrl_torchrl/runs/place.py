@@ -75,10 +75,8 @@ def code_version() -> str:
     for name, root in _ROOTS.items():
         for source in sorted(root.rglob("*.py")):
             path = source.relative_to(root)
-            # Configurations are data, and beside the package where it is not installed.
-            if path.parts[0] != "conf":
-                digest.update(f"{name}/{path.as_posix()}".encode())
-                digest.update(source.read_bytes())
+            digest.update(f"{name}/{path.as_posix()}".encode())
+            digest.update(source.read_bytes())
     return f"{_version('gdrl_torchrl')}+{digest.hexdigest()[:8]}"
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from gdrl_tasks import task_names, task_options
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.config.algorithms import ALGORITHMS
 from gdrl_torchrl.config.options import section_classes
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of

@@ -9,7 +9,7 @@ import typing
 import pytest
 
 from gdrl_tasks import task_names, task_options
-from gdrl_torchrl.config.algorithms import algorithm_configs
+from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.evolution.settings import EVOLUTIONS

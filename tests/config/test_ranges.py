@@ -12,7 +12,7 @@ import pytest
 
 import gdrl_torchrl.config
 from gdrl_tasks import task_options
-from gdrl_torchrl.config.algorithms import ALGORITHMS
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.config.schema import ExperimentConfig
 from tests.config.fields import (
     CONFIGS,

@@ -10,9 +10,9 @@ import pytest
 
 from gdrl_tasks import make_task, task_names
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config import schema
-from gdrl_torchrl.config.algorithms import ALGORITHMS
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
 from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
 from gdrl_torchrl.evolution.hooks.contest import FullContest

@@ -7,9 +7,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import gdrl_torchrl.conf
 import pytest
 
+import gdrl_torchrl.conf
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.evolution.settings import ErlConfig
 from tests.small import easy_options, small_options

@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, event, given, note, settings
 from hypothesis import strategies as st
 
 from gdrl_tasks import task_options
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.config.algorithms import ALGORITHMS
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class

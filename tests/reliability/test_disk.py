@@ -121,10 +121,9 @@ def test_a_container_whose_package_and_home_are_only_read_trains(tmp_path):
     without = shutil.ignore_patterns("__pycache__")
     for name, source in (
         ("gdrl_torchrl", root / "gdrl_torchrl"),
-        ("gdrl_torchrl/conf", root / "conf"),
         ("gdrl_tasks", root / "tasks" / "gdrl_tasks"),
     ):
-        shutil.copytree(source, site / name, ignore=without, dirs_exist_ok=True)
+        shutil.copytree(source, site / name, ignore=without)
     (tmp_path / "home").mkdir()
     options = "experiment=gppo_water toy=true logger.video_episodes=0"
     done = in_its_own_mounts(

@@ -42,12 +42,10 @@ def digest_of(monkeypatch):
 def test_a_wheel_and_a_checkout_of_equal_sources_are_one_code(digest_of, tmp_path):
     roots = dict(provenance._ROOTS)
     here = digest_of(roots)
-    # Laid out as a wheel: configurations are below the package, and byte code beside.
+    # As in a wheel, with byte code beside.
     for name, module in (("gdrl_torchrl", gdrl_torchrl), ("gdrl_tasks", gdrl_tasks)):
         (source,) = module.__path__
         shutil.copytree(source, tmp_path / name, dirs_exist_ok=True)
-    (tmp_path / "gdrl_torchrl" / "conf").mkdir(exist_ok=True)
-    (tmp_path / "gdrl_torchrl" / "conf" / "__init__.py").write_text('"""Data."""\n')
     installed = {name: tmp_path / name for name in roots}
     assert digest_of(installed) == here
     (tmp_path / "gdrl_torchrl" / "keys.py").write_text("# another\n")

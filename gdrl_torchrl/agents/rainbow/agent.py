@@ -27,14 +27,13 @@ from gdrl_torchrl.agents.rainbow.loss import (
 from gdrl_torchrl.agents.rainbow.n_step import NStep
 from gdrl_torchrl.agents.rainbow.network import make_q_actor
 from gdrl_torchrl.agents.rainbow.replay import (
-    buffer_state,
     draw_minibatch,
-    load_buffer_state,
     make_prioritized_buffer,
     note_errors,
-    share_experience,
 )
+from gdrl_torchrl.agents.rainbow.replay_state import buffer_state, load_buffer_state
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.rainbow.shared_experience import share_experience
 from gdrl_torchrl.agents.settings import NetworkConfig, check_actions
 from gdrl_torchrl.agents.update import Update
 

@@ -10,14 +10,12 @@ from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 
 from gdrl_torchrl.agents.rainbow.n_step import NStep
 from gdrl_torchrl.agents.rainbow.replay import (
-    buffer_state,
     draw_minibatch,
-    load_buffer_state,
     make_prioritized_buffer,
     note_errors,
-    random_share,
-    share_experience,
 )
+from gdrl_torchrl.agents.rainbow.replay_state import buffer_state, load_buffer_state
+from gdrl_torchrl.agents.rainbow.shared_experience import random_share, share_experience
 
 CAPACITY = 20
 

@@ -138,9 +138,9 @@ def let_win(genetic, winner):
     """Make a member win, whatever it is; the populations that competed."""
     populations = []
 
-    def contest(evaluator, population, **options):
-        populations.append(population.clone())
-        count = len(population)
+    def contest(match):
+        populations.append(match.population.clone())
+        count = len(match.population)
         scores = TensorDict(
             fitness=torch.zeros(count),
             frames=torch.ones(count, dtype=torch.int64),

@@ -7,7 +7,12 @@ import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.hooks.contest import CopiesContest, FullContest, PairedContest
+from gdrl_torchrl.evolution.hooks.contest import (
+    CopiesContest,
+    FullContest,
+    Match,
+    PairedContest,
+)
 from gdrl_torchrl.evolution.operators.paired import HalvingPlan
 
 STEPS = 100
@@ -66,14 +71,14 @@ class CoinEvaluator:
 def contest(evaluator, plan=None, **options):
     generator = torch.Generator().manual_seed(1)
     return PairedContest(plan)(
-        evaluator, evaluator.population(), generator=generator, **options
+        Match(evaluator, evaluator.population(), generator, **options)
     )
 
 
 @pytest.mark.parametrize("fitness", ["goals", "return"])
 def test_the_full_contest_is_won_by_the_best_over_common_episodes(fitness):
     evaluator = CoinEvaluator(0.5, 0.0, 1.0, 0.5, fitness=fitness)
-    verdict = FullContest()(evaluator, evaluator.population(), generator=torch.Generator())
+    verdict = FullContest()(Match(evaluator, evaluator.population(), torch.Generator()))
     assert verdict.winner == 2
     assert evaluator.played == [([0, 1, 2, 3], list(range(10)))]
     assert verdict.transitions is None
@@ -151,12 +156,12 @@ def test_a_fitness_that_is_a_function_cannot_be_tested():
 def test_copies_play_as_much_as_a_population_over_episodes_of_their_own():
     evaluator = CoinEvaluator(0.4, 1.0, 1.0)
     population = evaluator.population()
-    verdict = CopiesContest()(evaluator, population, generator=torch.Generator())
+    verdict = CopiesContest()(Match(evaluator, population, torch.Generator()))
     assert verdict.winner == 0
     assert evaluator.played == [([0], list(range(30)))]
     assert verdict.scores[keys.FRAMES].tolist() == [10 * STEPS] * 3
     full = CoinEvaluator(0.4, 1.0, 1.0)
-    other = FullContest()(full, full.population(), generator=torch.Generator())
+    other = FullContest()(Match(full, full.population(), torch.Generator()))
     assert verdict.scores[keys.FRAMES].sum() == other.scores[keys.FRAMES].sum()
     assert set(verdict.scores.keys()) <= set(other.scores.keys())
     # The better members are never asked.
@@ -168,8 +173,8 @@ def test_copies_play_as_much_as_a_population_over_episodes_of_their_own():
 def test_copies_of_a_broken_agent_have_no_fitness_and_functions_are_refused():
     broken = CoinEvaluator(float("nan"), 1.0)
     population = broken.population()
-    verdict = CopiesContest()(broken, population, generator=torch.Generator())
+    verdict = CopiesContest()(Match(broken, population, torch.Generator()))
     assert torch.isnan(verdict.scores[keys.FITNESS]).all()
     odd = CoinEvaluator(0.5, fitness=lambda scores: scores)
     with pytest.raises(ValueError, match="fitness"):
-        CopiesContest()(odd, odd.population(), generator=torch.Generator())
+        CopiesContest()(Match(odd, odd.population(), torch.Generator()))

@@ -24,10 +24,10 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.trainers.algorithms import PPOTrainer
 
-from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren
-from gdrl_torchrl.evolution.hooks.contest import FullContest
+from gdrl_torchrl.evolution.hooks.breeding import MutatedChildren, breeding_of
+from gdrl_torchrl.evolution.hooks.contest import FullContest, contest_of
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
-from gdrl_torchrl.evolution.hooks.parts import breeding_of, contest_of, hand_over_of
+from gdrl_torchrl.evolution.hooks.hand_over import hand_over_of
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
