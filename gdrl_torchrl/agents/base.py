@@ -68,8 +68,9 @@ class Agent:
     """What ``evolution.critic_on_switch`` is about."""
     follow_switch: Callable[[float], object] | None = None
     """Moves the target network towards the agent's by a share ``tau``."""
-    share_experience: Callable[[TensorDictBase, float], object] | None = None
-    """Takes a share of whole episodes of other policies, ``[T]``, into the buffer."""
+    share_experience: Callable[..., object] | None = None
+    """``(transitions [T], share, *, with_updates)``: takes a share of other policies' whole
+    episodes into the buffer, and perhaps learns as much from them as from its own."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -26,6 +26,7 @@ TIE_RULES = ("return_then_parent", "parent", "child")
 _MOST_TRIALS = 10_000
 _KEEP_OR_RESET = ("keep", "reset")
 _GOALS_OR_RETURN = ("goals", "return")
+_GREEDY_OR_SAMPLED = ("greedy", "sampled")
 
 
 @dataclasses.dataclass
@@ -87,6 +88,14 @@ class EvolutionConfig:
     """With ``contest=paired``: probability that a child no better than the agent wins."""
     own_share: float = within(0.0, least=0.0, below=1.0)
     """Share of its own weights that the agent keeps on a switch."""
+    act: str = among("greedy", _GREEDY_OR_SAMPLED)
+    """How members act: ``greedy``, or ``sampled`` as the agent does in training."""
+    rate_of: str = among("window", ("window", "contest"))
+    """What ``thresholds`` are for: success of the agent in the ``window``, or of its copy
+    in the last ``contest``."""
+    genome: str = among("all", ("all", "head", "advantage"))
+    """Weights that mutate: ``all``; the policy's last layer (``head``); or Rainbow's stream
+    of ``advantage``, its last layers included. The other two keep estimates of values."""
     tie_rule: str = among("return_then_parent", TIE_RULES)
     """Who wins among equals: the higher return and then the agent, the agent (``parent``),
     or a ``child``."""
@@ -101,6 +110,8 @@ class EvolutionConfig:
     shares none."""
     share_on: str = among("switch", ("switch", "always"))
     """Whether experience is shared on a ``switch`` only or ``always``."""
+    updates_for_shared: bool = False
+    """Whether Rainbow makes as many updates for shared transitions as for its own."""
     num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
     """Worlds of the evaluation; None takes one per member and trial."""
 
@@ -152,8 +163,12 @@ class ErlConfig:
     """Last training episodes that success is measured over."""
     fitness: str = among("goals", _GOALS_OR_RETURN)
     """What members are scored by: ``goals`` that they reach, or the mean ``return``."""
+    act: str = among("greedy", _GREEDY_OR_SAMPLED)
+    """How members act: ``greedy``, or ``sampled`` as the agent does in training."""
     experience_share: float = within(1.0, least=0.0, most=1.0)
     """Share of a generation's transitions that enters the agent's replay buffer."""
+    updates_for_shared: bool = False
+    """Whether Rainbow makes as many updates for shared transitions as for its own."""
     num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
     """Worlds of an evaluation; None takes one per member and trial."""
 

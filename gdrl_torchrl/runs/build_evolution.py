@@ -25,6 +25,7 @@ from gdrl_torchrl.evolution.hooks.hand_over import hand_over_of
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.rules import exploration_of
 from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
 
 MakeEvaluator = Callable[[Any, int], PopulationEvaluator]
@@ -78,10 +79,11 @@ def _genetic(
             optimizer=agent.optimizer,
             critic=agent.critic,
             follow_switch=agent.follow_switch,
-            share_experience=_sharing(agent, settings.experience_share),
+            share_experience=_sharing(agent, settings),
         ),
         watch=watch,
         period_episodes=settings.period_episodes,
+        rate_of=settings.rate_of,
         seed=config.seed,
     )
 
@@ -102,7 +104,7 @@ def _erl(
         tournament_size=settings.tournament_size,
         mutation_probability=settings.mutation_probability,
         sync_period=settings.sync_period,
-        share_experience=_sharing(agent, settings.experience_share),
+        share_experience=_sharing(agent, settings),
         watch=watch,
         period_episodes=settings.period_episodes,
         seed=config.seed,
@@ -160,6 +162,7 @@ def _evaluator(
         ),
         fitness=settings.fitness,
         seed=config.seed,
+        exploration_type=exploration_of(getattr(settings, "act", "greedy")),
     )
 
 
@@ -176,8 +179,11 @@ def _first_generation(
     return concatenate([stack_copies(genome, 1) for genome in genomes])
 
 
-def _sharing(agent: Agent, share: float) -> Callable[[TensorDictBase], object] | None:
+def _sharing(
+    agent: Agent, settings: EvolutionConfig | ErlConfig
+) -> Callable[[TensorDictBase], object] | None:
     take = agent.share_experience
-    if take is None or share == 0.0:
+    if take is None or settings.experience_share == 0.0:
         return None
-    return lambda transitions: take(transitions, share)
+    share, more = settings.experience_share, settings.updates_for_shared
+    return lambda transitions: take(transitions, share, with_updates=more)

@@ -48,6 +48,7 @@ COLUMNS = (
     "fitness_mean",
     "winner",
     "switched",
+    "value_shift",
 )
 """Of every run; those of its updates follow, then those of the clock."""
 _logger = logging.getLogger(__name__)
@@ -212,6 +213,7 @@ class RunMonitor:
                 "fitness_mean": float(fitness.nanmean()),
                 "winner": self._evaluation.winner,
                 "switched": int(self._evaluation.switched),
+                "value_shift": self._evaluation.value_shift,
             }
             self._evaluation = None
         for update in self.updates:

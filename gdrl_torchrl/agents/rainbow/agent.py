@@ -96,6 +96,7 @@ class RainbowLearner:
         self.generator = torch.Generator().manual_seed(seed)
         self.num_updates = 0
         self.num_episodes = 0
+        self.owed_updates = 0.0
         self._target_and_online = target_and_online(loss)
         self.update = Update(
             loss,
@@ -118,7 +119,8 @@ class RainbowLearner:
         self.store(batch)
         if len(self.buffer) < self.config.warmup_steps:
             return
-        for number in range(self.config.updates_per_batch):
+        owed, self.owed_updates = divmod(self.owed_updates, 1.0)
+        for number in range(self.config.updates_per_batch + int(owed)):
             self.step(draw_minibatch(self.buffer), diagnose=number == 0)
 
     def store(self, batch: TensorDictBase) -> None:
@@ -151,11 +153,27 @@ class RainbowLearner:
         self.num_updates += 1
         self._anneal()
 
-    def share(self, transitions: TensorDictBase, share: float) -> int:
-        """Take a share of whole episodes ``[T]`` of other policies into the buffer."""
-        return share_experience(
+    def share(
+        self, transitions: TensorDictBase, share: float, *, with_updates: bool = False
+    ) -> int:
+        """Take a share of whole episodes ``[T]`` of other policies into the buffer.
+
+        Args:
+            transitions: The episodes.
+            share: The share.
+            with_updates: Whether the next batch has as many updates more as those
+                transitions would have had as the agent's own.
+
+        Returns:
+            How many entered.
+        """
+        count = share_experience(
             self.buffer, transitions, self.n_step, share, self.generator
         )
+        if with_updates:
+            per_step = self.config.updates_per_batch / self.config.frames_per_batch
+            self.owed_updates += per_step * count
+        return count
 
     def _anneal(self) -> None:
         config = self.config
@@ -173,6 +191,7 @@ class RainbowLearner:
             "buffer": buffer_state(self.buffer),
             "num_updates": self.num_updates,
             "num_episodes": self.num_episodes,
+            "owed_updates": self.owed_updates,
             "num_skipped": self.update.num_skipped,
             "generator": self.generator.get_state(),
         }
@@ -182,6 +201,7 @@ class RainbowLearner:
         load_buffer_state(self.buffer, state_dict["buffer"])
         self.num_updates = state_dict["num_updates"]
         self.num_episodes = state_dict["num_episodes"]
+        self.owed_updates = state_dict["owed_updates"]
         self.update.num_skipped = state_dict["num_skipped"]
         self.generator.set_state(state_dict["generator"])
         self._anneal()

@@ -17,6 +17,7 @@ from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
 from gdrl_torchrl.evolution.hooks.hand_over import hand_over_of, move_target
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.rules import exploration_of
 from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 POLICY_NAMES = ("actor_network", "value_network")
@@ -25,7 +26,7 @@ POLICY_NAMES = ("actor_network", "value_network")
 
 NOT_ATTACHED = (
     *("name", "enabled", "num_worlds", "experience_share", "share_on"),
-    *("sensitivity", "sensitivity_rows", "critic_on_switch"),
+    *("sensitivity", "sensitivity_rows", "critic_on_switch", "updates_for_shared"),
 )
 """Settings that need more than a trainer shows: its replay buffer, its worlds, a critic."""
 
@@ -92,6 +93,7 @@ class AttachedGeneticHook(TrainerHookBase):
             max_steps=max_steps,
             fitness=fitness,
             seed=seed,
+            exploration_type=exploration_of(self.settings.act),
         )
 
     def register(self, trainer: Any, name: str = "genetic_hook") -> None:
@@ -122,6 +124,7 @@ class AttachedGeneticHook(TrainerHookBase):
             ),
             watch=EpisodeWatch(self.settings.window_episodes),
             period_episodes=self.settings.period_episodes,
+            rate_of=self.settings.rate_of,
             **self._options,
         )
         genetic.register(trainer, name)

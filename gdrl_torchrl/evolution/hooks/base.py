@@ -33,6 +33,8 @@ class GeneticEvaluation:
     switched: bool
     """Whether the population changed the agent, or the agent the population."""
     population_steps: int
+    value_shift: float | None = None
+    """Of a switch: see :class:`~gdrl_torchrl.evolution.hooks.value_shift.ValueShift`."""
 
 
 @dataclasses.dataclass

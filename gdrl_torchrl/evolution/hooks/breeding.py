@@ -12,7 +12,11 @@ from tensordict.nn import TensorDictModuleBase
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.operators.crossover import crossovers, no_crossover
-from gdrl_torchrl.evolution.operators.genome import stack_copies
+from gdrl_torchrl.evolution.operators.genome import (
+    only_part,
+    paths_of_part,
+    stack_copies,
+)
 from gdrl_torchrl.evolution.operators.mutation import (
     bernoulli_mutation,
     mutations,
@@ -79,12 +83,15 @@ class MutatedChildren:
         crossover: ``(genomes [N], num_points=, generator=) -> genomes [N]``, of the
             mutated children.
         num_points: Cuts of the crossover.
+        part: What mutates, see
+            :func:`~gdrl_torchrl.evolution.operators.genome.paths_of_part`.
         sensitivity: ``(genome, observations [B, D]) -> genome``: by how much the outputs
             depend on each weight; mutations are divided by it. None leaves them.
         sensitivity_rows: Observations of the last training batch that it is taken over.
 
     Raises:
-        ValueError: If ``num_children`` < 1.
+        ValueError: If ``num_children`` < 1, or when children are made if the policy has no
+            such part.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -104,6 +111,7 @@ class MutatedChildren:
         schedule: MutationSchedule | None = None,
         crossover: Mutation = no_crossover,
         num_points: int = 2,
+        part: str = "all",
         sensitivity: Sensitivity | None = None,
         sensitivity_rows: int = 256,
     ) -> None:
@@ -115,6 +123,7 @@ class MutatedChildren:
         self.schedule = schedule or MutationSchedule()
         self.crossover = crossover
         self.num_points = num_points
+        self.part = part
         self.sensitivity = sensitivity
         self.sensitivity_rows = sensitivity_rows
         self._observations: torch.Tensor | None = None
@@ -150,6 +159,8 @@ class MutatedChildren:
             of_weights = self.sensitivity(genome, self._observations)
             children = dampen(copies, children, of_weights)
         children = self.crossover(children, num_points=self.num_points, generator=generator)
+        if self.part != "all":
+            children = only_part(copies, children, paths_of_part(genome, self.part))
         return Brood(children, mut_p)
 
     def state_dict(self) -> dict[str, Any]:
@@ -173,6 +184,7 @@ def breeding_of(settings: EvolutionConfig, actor: TensorDictModuleBase) -> Mutat
         schedule=MutationSchedule(tuple(settings.rates), tuple(settings.thresholds)),
         crossover=crossovers()[settings.crossover],
         num_points=settings.num_points,
+        part=settings.genome,
         sensitivity=sensitivity,
         sensitivity_rows=settings.sensitivity_rows,
     )

@@ -11,6 +11,7 @@ from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.evolution.hooks.breeding import Breeding, MutatedChildren
 from gdrl_torchrl.evolution.hooks.contest import PARENT, Contest, FullContest, Match
 from gdrl_torchrl.evolution.hooks.hand_over import HandOver
+from gdrl_torchrl.evolution.hooks.value_shift import ValueShift
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
@@ -30,6 +31,8 @@ class GeneticHook(PopulationHook):
             over the same episodes.
         hand_over: What happens on a switch; None replaces the agent's weights.
         period_episodes: Training episodes between evaluations.
+        rate_of: What the mutation probability follows: success of the agent in the
+            ``window`` of its training episodes, or of its copy in the last ``contest``.
         **options: As of :class:`~gdrl_torchrl.evolution.hooks.base.Evolution`.
 
     Raises:
@@ -45,22 +48,29 @@ class GeneticHook(PopulationHook):
         hand_over: HandOver | None = None,
         *,
         period_episodes: int = 50,
+        rate_of: str = "window",
         **options: Any,
     ) -> None:
         super().__init__(actor, evaluator, period_episodes=period_episodes, **options)
         self.breeding: Breeding = MutatedChildren() if breeding is None else breeding
         self.contest: Contest = FullContest() if contest is None else contest
         self.hand_over = HandOver() if hand_over is None else hand_over
+        self.rate_of = rate_of
+        self.value_shift = ValueShift(actor)
+        self._rate_in_contest: float | None = None
 
     def register(self, trainer: Any, name: str = "genetic_hook") -> None:
         """As of the base; the breeding sees the batches too."""
         super().register(trainer, name)
         trainer.register_op("batch_process", self.breeding.observe)
+        trainer.register_op("batch_process", self.value_shift.observe)
 
     def evaluate(self) -> GeneticEvaluation:
         """Make children, score them with the agent's copy, install the winner."""
         genome = genome_of(self.actor)
-        brood = self.breeding(genome, self.watch.window.rate, generator=self.generator)
+        in_window = self.rate_of == "window"
+        rate = self.watch.window.rate if in_window else self._rate_in_contest
+        brood = self.breeding(genome, rate, generator=self.generator)
         population = concatenate([stack_copies(genome, 1), brood.genomes])
         match = Match(
             self.evaluator,
@@ -69,26 +79,35 @@ class GeneticHook(PopulationHook):
             keep_transitions=self.hand_over.share_experience is not None,
         )
         verdict = self.contest(match)
+        self._rate_in_contest = float(verdict.scores[keys.SUCCESS_RATE][PARENT])
+        switched = verdict.winner != PARENT
+        shift = None
+        if switched:
+            winner = population[verdict.winner]
+            self.hand_over.install(self.actor, genome, winner, self._trainer)
+            shift = self.value_shift(genome, genome_of(self.actor))
+        self.hand_over.share(verdict.transitions, switched=switched)
         evaluation = GeneticEvaluation(
             number=self.counts.evaluations,
             mut_p=brood.mut_p,
             scores=verdict.scores,
             winner=verdict.winner,
             agent=PARENT,
-            switched=verdict.winner != PARENT,
+            switched=switched,
             population_steps=int(verdict.scores[keys.FRAMES].sum()),
+            value_shift=shift,
         )
-        if evaluation.switched:
-            winner = population[verdict.winner]
-            self.hand_over.install(self.actor, genome, winner, self._trainer)
-        self.hand_over.share(verdict.transitions, switched=evaluation.switched)
         return self._note(evaluation)
 
     def state_dict(self) -> dict[str, Any]:
         """As of the base, with the breeding's."""
-        return super().state_dict() | {"breeding": self.breeding.state_dict()}
+        return super().state_dict() | {
+            "breeding": self.breeding.state_dict(),
+            "rate_in_contest": self._rate_in_contest,
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         super().load_state_dict(state_dict)
+        self._rate_in_contest = state_dict["rate_in_contest"]
         self.breeding.load_state_dict(state_dict["breeding"])

@@ -47,6 +47,47 @@ def genome_of(
     return genome
 
 
+def paths_of_part(genome: TensorDictBase, part: str) -> list[tuple[str, ...]]:
+    """Names of the leaves of a part of a policy.
+
+    Args:
+        genome: Of the policy, as :func:`genome_of` gives it.
+        part: ``all``; ``advantage``, a dueling network's stream of that name; or ``head``,
+            the last layer of that stream or, without one, of the policy.
+
+    Raises:
+        ValueError: If there is no such part.
+
+    Examples:
+        >>> network = nn.Sequential(nn.Linear(3, 5), nn.Tanh(), nn.Linear(5, 2))
+        >>> paths_of_part(genome_of(network), "head")
+        [('2', 'weight'), ('2', 'bias')]
+    """
+    found = genome.keys(include_nested=True, leaves_only=True)
+    paths = [(name,) if isinstance(name, str) else tuple(name) for name in found]
+    if part == "all":
+        return paths
+    stream = [path for path in paths if "advantage" in path]
+    if part == "head":
+        last = (stream or paths)[-1][:-1]
+        return [path for path in paths if path[:-1] == last]
+    if part != "advantage":
+        raise ValueError(f"part={part!r} must be 'all', 'head' or 'advantage'")
+    if not stream:
+        raise ValueError("genome='advantage': the policy has no stream of that name")
+    return stream
+
+
+def only_part(
+    parents: TensorDictBase, children: TensorDictBase, paths: Iterable[tuple[str, ...]]
+) -> TensorDictBase:
+    """Parents ``[P]`` with some leaves of their children ``[P]``, as a new tensordict."""
+    mixed = parents.clone()
+    for path in paths:
+        mixed.set(path, children.get(path).clone())
+    return mixed
+
+
 def stack_copies(genome: TensorDictBase, count: int) -> TensorDictBase:
     """``count`` copies of a genome as one tensordict ``[count]`` with its own memory.
 

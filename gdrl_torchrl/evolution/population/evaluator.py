@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import torch
@@ -60,7 +61,9 @@ class PopulationEvaluator(Transform):
             their own and ``set_seed`` otherwise. With ``set_seed`` one member runs at a
             time, because the worlds of a batch would differ between members. If seeds
             are given, one episode runs at a time, because a batch has only one seed.
-        exploration_type: How the members act.
+        exploration_type: How the members act. Unless greedily, they draw from a generator
+            of the evaluation's own, seeded by the first of its episodes: the same episodes
+            give the same result, and no other draws change.
         success_key: Flag of the environment that marks success, read at the end of an
             episode.
         extra_keys: Further entries of the environment to report ``[P, S]``, as they
@@ -251,7 +254,10 @@ class PopulationEvaluator(Transform):
             trials, members = 1 if are_given else trials, 1
         try:
             self.population.load(params)
-            with set_exploration_type(self.exploration_type):
+            with (
+                self._own_draws(int(seeds[0])),
+                set_exploration_type(self.exploration_type),
+            ):
                 simulation = simulation_of(rules, self.population, env)
                 make = PopulationRollout if simulation is None else SimulationRollout
                 for first in range(0, count, members):
@@ -265,6 +271,15 @@ class PopulationEvaluator(Transform):
         finally:
             self.population.unload()
         return rules.summary(scores), ordered_episodes(log)
+
+    @contextlib.contextmanager
+    def _own_draws(self, seed: int) -> Iterator[None]:
+        if self.exploration_type == ExplorationType.DETERMINISTIC:
+            yield
+            return
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            yield
 
     def _check_inputs(self, env: EnvBase) -> None:
         """Raise ValueError if the policy reads an entry that the environment lacks."""

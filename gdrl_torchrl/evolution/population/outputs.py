@@ -20,6 +20,11 @@ from gdrl_torchrl.private_copy import private_copy
 Outputs = Callable[[TensorDictBase, torch.Tensor], torch.Tensor]
 
 
+def writes_values(actor: TensorDictModuleBase) -> bool:
+    """Whether a policy chooses by values of actions, which its network writes."""
+    return "action_value" in split_actor(actor)[0].out_keys
+
+
 def outputs_of(actor: TensorDictModuleBase) -> Outputs:
     """Make ``(genome, observation [D]) -> outputs [K]``, which is differentiable.
 

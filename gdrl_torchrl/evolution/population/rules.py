@@ -11,12 +11,27 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType
 
 from gdrl_torchrl import keys
 
 _logger = logging.getLogger(__name__)
 
+_EXPLORATION: dict[str, Any] = {
+    "greedy": ExplorationType.DETERMINISTIC,
+    "sampled": ExplorationType.RANDOM,
+}
 Fitness = str | Callable[[TensorDictBase], torch.Tensor]
+
+
+def exploration_of(act: str) -> Any:
+    """TorchRL's name of how members act: ``greedy`` or ``sampled``.
+
+    Examples:
+        >>> exploration_of("greedy").name
+        'DETERMINISTIC'
+    """
+    return _EXPLORATION[act]
 
 
 @dataclasses.dataclass(frozen=True)
