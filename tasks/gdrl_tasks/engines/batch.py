@@ -9,14 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gdrl_tasks.definition import Outcome
 from gdrl_tasks.engines.divergence import DivergedWorld, StateMemory
 from gdrl_tasks.engines.quiet import quiet_engine
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.engines.shard import Shard
 from gdrl_tasks.kernels import are_rows, rows_are_sane
-from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.processors import allowed_processors
 from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
-from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
+from gdrl_tasks.spec import WorldIndex
+from gdrl_tasks.task import NavigationTask, check_running
 
 _logger = logging.getLogger(__name__)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
@@ -38,7 +40,7 @@ class StepResult(NamedTuple):
     truncated: np.ndarray
     """``[K]``, bool."""
     outcome: np.ndarray
-    """:class:`~gdrl_tasks.navigation.Outcome` integers ``[K]``."""
+    """:class:`~gdrl_tasks.definition.Outcome` integers ``[K]``."""
 
 
 class BatchSimulation:
@@ -92,7 +94,7 @@ class BatchSimulation:
         self.num_threads = num_threads or allowed_processors()
         self.seed = seed
         self.num_episodes_begun = 0
-        self.model = task.engine_model()
+        self.model = without_scenery(task.xml())
         self.arrays = task.allocate(num_worlds)
         self.qpos = np.zeros((num_worlds, self.model.nq))
         self.qvel = np.zeros((num_worlds, self.model.nv))

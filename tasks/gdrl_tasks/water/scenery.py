@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gdrl_tasks.task import WorldArrays
+from gdrl_tasks.spec import WorldArrays
 from gdrl_tasks.water.looks import FAR_COLOUR, SEA_TEXTURE, sea_mesh, sea_places
 from gdrl_tasks.water.wake import Track, foam
 from gdrl_tasks.water.waves import elevation

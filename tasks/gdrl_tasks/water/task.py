@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.kernels import upside_down
-from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.spec import Episode, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.task import NavigationTask
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull
 from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
@@ -92,10 +91,6 @@ class WaterTask(NavigationTask):
             farthest_goal_m=self.goal_distance_m[1],
             goal_tolerance_m=self.goal_tolerance_m,
         )
-
-    def engine_model(self) -> mujoco.MjModel:
-        """Without scenery."""
-        return without_scenery(self.xml())
 
     def note_scenery(self, physics: Any) -> None:
         """Remember where the vessel was, for its wake."""
