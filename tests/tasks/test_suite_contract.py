@@ -486,7 +486,7 @@ def test_the_drawn_surface_is_where_the_water_is(opengl):
     environment.step(np.zeros(2))
     environment.physics.render(16, 16, camera_id="top")
     model, data = environment.physics.model, environment.physics.data
-    from gdrl_tasks.water.waves import elevation
+    from gdrl_tasks.water.definition import elevation
 
     drawn = model.skin_vert.reshape(-1, 3)
     drawn = drawn[np.hypot(*(drawn[:, :2] - data.qpos[:2]).T) < 1.0]

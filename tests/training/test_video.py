@@ -19,7 +19,7 @@ import pytest
 from gdrl_tasks import NavigationTask, Outcome, make_task
 from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.engines.scenery import draw_faster
-from gdrl_tasks.indoor.obstacles import clearance
+from gdrl_tasks.indoor.definition import clearance
 from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
 from gdrl_torchrl.files.trajectories import read_trajectories, save_trajectories
 from gdrl_torchrl.pictures.captions import caption_height
