@@ -97,7 +97,7 @@ class BatchSimulation:
         self._shards = ShardPool(
             task, self.model, self.arrays, self.qpos, self.qvel, self.num_threads
         )
-        self._on_divergence: Callable[[DivergedWorld], None] | None = None
+        self._on_divergence: Callable[[DivergedWorld], object] | None = None
         self._memory: StateMemory | None = None
 
     def reset(
@@ -185,7 +185,7 @@ class BatchSimulation:
         terminated &= ~truncated
         return StepResult(observation, reward, terminated, truncated, outcome)
 
-    def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:
+    def watch(self, on_divergence: Callable[[DivergedWorld], object]) -> None:
         """Call a function with every world that diverges, at most once in an episode.
 
         From now on one copy of the state before the last step is kept.
