@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gdrl_torchrl.agents.ga.settings import GAConfig
-from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.agents.settings import check_actions
 from gdrl_torchrl.checks import num_weights
 from gdrl_torchrl.config.schema import ExperimentConfig
@@ -52,14 +50,15 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
             f"algorithm.num_steps={num_steps} must be <= task.step_limit={limit}: no "
             "return is over more steps than an episode has"
         )
-    if isinstance(algorithm, GAConfig) and budget.total_steps is budget.wall_s is None:
+    is_bare_population = not getattr(algorithm, "collects", True)
+    if is_bare_population and budget.total_steps is budget.wall_s is None:
         raise ValueError(
             f"budget.agent_steps={budget.agent_steps} must not be the only budget with "
             f"{label}, whose agent takes no steps: give budget.total_steps"
         )
     _check_population(config)
     on_switch = getattr(evolution, "critic_on_switch", "keep")
-    if on_switch == "reset" and isinstance(algorithm, RainbowConfig):
+    if on_switch == "reset" and not getattr(algorithm, "has_critic", True):
         raise ValueError(
             f"evolution.critic_on_switch='reset' must be 'keep' with {label}, which has no "
             "critic"
@@ -74,7 +73,7 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
 def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
     """Raise ValueError unless task, algorithm and evolution go together."""
     name = config.algorithm.name
-    if isinstance(config.algorithm, GAConfig) and config.evolution.enabled:
+    if not getattr(config.algorithm, "collects", True) and config.evolution.enabled:
         raise ValueError(
             f"evolution.enabled=True must be False (evolution=none) with algorithm.name="
             f"{name!r}, which is a population already"

@@ -21,6 +21,8 @@ class GAConfig:
 
     actions: ClassVar[str] = "any"
     """Kind of actions that it needs."""
+    collects: ClassVar[bool] = False
+    """Whether the agent takes steps of its own: here only the population does."""
 
     name: str = among("ga", ("ga",))
     """Always ``ga``."""

@@ -21,6 +21,8 @@ class RainbowConfig:
 
     actions: ClassVar[str] = "discrete"
     """Kind of actions that it needs."""
+    has_critic: ClassVar[bool] = False
+    """Whether there is a critic beside the policy."""
 
     name: str = among("rainbow", ("rainbow",))
     """Always ``rainbow``."""
