@@ -9,6 +9,9 @@ import sys
 import hypothesis
 import pytest
 
+# Fixtures of folders that are not one below the other.
+pytest_plugins = ["tests.recorded"]
+
 
 def _egl_works() -> bool:
     # Tried in another process: a process cannot take a failed choice of backend back.

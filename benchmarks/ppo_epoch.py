@@ -3,9 +3,9 @@
     python -m benchmarks.ppo_epoch
 
 What a training iteration does after collection, with the defaults of the water task:
-advantages, epochs of shuffled minibatches, and the hooks of the trainer of
-``make_ppo_agent``; against ``plain_ppo``, which takes turns with it. Before that both
-learn from one minibatch, and must agree. The last line is a JSON object.
+advantages and epochs of shuffled minibatches, in the loop of a run; against
+``plain_ppo``, which takes turns with it. Before that both learn from one minibatch, and
+must agree. The last line is a JSON object.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import logging
 import os
 import statistics
+from collections.abc import Iterator
 from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "disable")
@@ -25,6 +26,8 @@ from benchmarks.common import finish, measure, ratio, show
 from benchmarks.plain_ppo import PPO, Collected, Networks, before_tanh
 from gdrl_tasks import make_task
 from gdrl_torchrl.agents.base import Agent
+from gdrl_torchrl.agents.collectors.finite_batches import check_batch
+from gdrl_torchrl.agents.loop import TrainingLoop
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
@@ -58,6 +61,18 @@ def collect(agent: Agent) -> TensorDictBase:
         following[name] = torch.rand(following[name].shape) < 0.01
     following["done"] = following["terminated"] | following["truncated"]
     return batch
+
+
+class Repeated:
+    """A collector that gives the same batch, without what learning added to it."""
+
+    def __init__(self, batch: TensorDictBase) -> None:
+        self._batch = batch
+
+    def __iter__(self) -> Iterator[TensorDictBase]:
+        """Copies, without end."""
+        while True:
+            yield self._batch.copy()
 
 
 def by_hand(batch: TensorDictBase) -> Collected:
@@ -129,20 +144,15 @@ def check_equal() -> None:
         RuntimeError: If advantages, losses, gradients or weights differ.
     """
     agent = make_agent()
-    trainer: Any = agent.trainer
+    learner: Any = agent.learner
     batch = collect(agent)
     # Weights that have moved since, so that some ratios are clipped.
     for weight in weights_of(agent).values():
         weight.add_(torch.randn_like(weight), alpha=0.1)
     reference = make_reference(agent)
 
-    seen: list[TensorDictBase] = []
-    trainer.register_op("process_optim_batch", seen.append)
-    trainer.register_op("post_optim_complete_log", lambda _, losses: seen.append(losses))
-    trainer.num_epochs = trainer.optim_steps_per_batch = 1
-    batch = trainer._process_batch_hook(batch)
-    trainer.optim_steps(batch)
-    minibatch, losses = seen
+    minibatch = learner.minibatches(batch)[0]
+    losses = learner.update(minibatch)
     advantage, target = reference.estimate(by_hand(batch))
     compare("an advantage", batch["advantage"].squeeze(-1), advantage)
     compare("a target", batch["value_target"].squeeze(-1), target)
@@ -173,17 +183,15 @@ def main() -> None:
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     check_equal()
     agent = make_agent()
-    trainer: Any = agent.trainer
     collected = collect(agent)
+    repeated: Any = Repeated(collected)
+    loop = TrainingLoop(agent.learner, repeated)
+    loop.register_op("batch_process", check_batch)
+    loop.register_op("post_steps", loop.request_stop)
     reference, inputs = make_reference(agent), by_hand(collected)
 
     def ours() -> int:
-        # What the trainer does with each batch of its collector.
-        batch = trainer._process_batch_hook(collected.copy())
-        trainer._pre_steps_log_hook(batch)
-        trainer.optim_steps(batch)
-        trainer._post_steps_hook()
-        trainer._post_steps_log_hook(batch)
+        loop.train()
         return 1
 
     def its() -> int:
@@ -199,7 +207,7 @@ def main() -> None:
         "time_over_by_hand": ratio(rates[1], rates[0]),
     }
     print("PPO's optimisation of a batch: milliseconds")
-    show("trainer of make_ppo_agent", own_ms, 1)
+    show("loop of a run", own_ms, 1)
     show("by hand", its_ms, 1)
     show("time over the hand-written", result["time_over_by_hand"], 2)
     finish(result)

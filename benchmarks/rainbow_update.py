@@ -66,7 +66,7 @@ def make_learner(exploration: str) -> tuple[ExperimentConfig, RainbowLearner]:
     )
     agent: Any = make_agent(make_task("indoor"), config)
     agent.collector.shutdown()
-    return config, agent.parts["learner"]
+    return config, agent.learner
 
 
 def make_transitions(num_steps: int) -> tuple[TensorDict, torch.Tensor]:

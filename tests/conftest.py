@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import copy
+import csv
+import json
 import signal
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -22,64 +25,16 @@ from torchrl.modules.models.models import DuelingMlpDQNet
 
 from gdrl_tasks import make_task
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor
-from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
-from gdrl_torchrl.evolution.settings import ErlConfig
+from gdrl_torchrl.pictures import figures
+from gdrl_torchrl.runs.phases import PHASES
+from tests.small import EASY_WATER, compose, tiny_options
 
 CONTINUOUS = ("deterministic", "sequential", "tanh_normal")
 DISCRETE = ("q_value", "distributional")
 NUM_ATOMS = 11
-
-EASY = {
-    "sea": "calm",
-    "goal_distance_m": (0.7, 1.2),
-    "goal_tolerance_m": 0.6,
-    "reward": "dense",
-    "step_limit": 24,
-}
-"""Water that an untrained network often crosses; without waves nothing is chaotic."""
-
-SMALL = [
-    "evaluation.episodes=3",
-    "evaluation.num_worlds=2",
-    "logger.video_episodes=0",
-    "task.step_limit=8",
-    "task.goal_tolerance_m=0.5",
-    "network.actor_cells=[8,8]",
-]
-LEARNER = ["algorithm.num_worlds=4", "algorithm.frames_per_batch=40"]
-SMALL_OF_ALGORITHM = {
-    "ppo": [*LEARNER, "algorithm.minibatch_size=20", "algorithm.num_epochs=1"],
-    "rainbow": [
-        *LEARNER,
-        "algorithm.minibatch_size=16",
-        "algorithm.updates_per_batch=2",
-        "algorithm.num_steps=3",
-        "algorithm.num_atoms=11",
-        "algorithm.warmup_steps=60",
-        "algorithm.replay_capacity=200",
-    ],
-    "ga": [
-        "algorithm.population_size=4",
-        "algorithm.num_parents=2",
-        "algorithm.num_validated=2",
-        "algorithm.num_trials=2",
-        "algorithm.validation_trials=2",
-    ],
-}
-SMALL_ERL = [
-    "evolution.population_size=4",
-    "evolution.num_elites=1",
-    "evolution.num_trials=2",
-]
-SMALL_GENETIC = [
-    "evolution.num_children=3",
-    "evolution.num_trials=2",
-    "evolution.period_episodes=8",
-    "evolution.screening_trials=1",
-    "evolution.test_trials=2",
-]
+CLOCK = ("wall_s", *PHASES)
 
 
 def _dueling(size: int, actions: int) -> nn.Module:
@@ -185,27 +140,64 @@ def member_of() -> Callable[..., nn.Module]:
 
 
 @pytest.fixture
-def small_options() -> Callable[[str], list[str]]:
-    """Overrides that make an experiment small; it has 40 steps of the agent a row."""
-
-    def options(experiment: str) -> list[str]:
-        config = load_experiment([f"experiment={experiment}"])
-        chosen = [f"experiment={experiment}", *SMALL]
-        chosen += SMALL_OF_ALGORITHM[config.algorithm.name]
-        if config.evolution.enabled:
-            is_erl = isinstance(config.evolution, ErlConfig)
-            chosen += SMALL_ERL if is_erl else SMALL_GENETIC
-        return chosen
-
-    return options
-
-
-@pytest.fixture
 def easy_task_for() -> Callable[..., object]:
     """Makes an easy task whose actions fit a kind of actor."""
 
     def make(kind: str = "tanh_normal", **options: object) -> object:
         actions = "discrete" if kind in DISCRETE else "continuous"
-        return make_task("water", **EASY | {"actions": actions} | options)
+        easy = {**EASY_WATER, "reward": "dense", "step_limit": 24}
+        return make_task("water", **easy | {"actions": actions} | options)
 
     return make
+
+
+def _composer(experiment: str, runs_dir: Path, *base: str) -> Callable[..., object]:
+    chosen = tiny_options(experiment, [*base, f"runs_dir={runs_dir}"])
+    return lambda *overrides: compose([*chosen, *overrides])
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Callable[..., object]:
+    """Composes a tiny configuration with further overrides: GPPO on the water."""
+    return _composer("gppo_water", tmp_path / "runs")
+
+
+@pytest.fixture
+def tiny_rainbow(tmp_path: Path) -> Callable[..., object]:
+    """The same for GRainbow indoors."""
+    few = ("task.num_beams=5", "evolution.experience_share=0.5")
+    return _composer("grainbow_indoor", tmp_path / "runs", *few)
+
+
+@pytest.fixture(params=["tiny", "tiny_rainbow"], ids=["gppo", "grainbow"])
+def tiny_of_each(request: pytest.FixtureRequest) -> Callable[..., object]:
+    """The same for both, one after the other."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs draw nothing: their figures have tests of their own."""
+    for name in ("draw_learning_curve", "draw_trajectories"):
+        monkeypatch.setattr(figures, name, lambda path: None)
+
+
+@pytest.fixture
+def rows_of() -> Callable[[Path], list[dict[str, str]]]:
+    """Reads the rows of a run's metrics, without the clock."""
+
+    def read(run: Path) -> list[dict[str, str]]:
+        with (run / "metrics.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            for name in CLOCK:
+                assert float(row.pop(name)) >= 0.0
+        return rows
+
+    return read
+
+
+@pytest.fixture
+def evaluation_of() -> Callable[[Path], dict[str, object]]:
+    """Reads a run's evaluation."""
+    return lambda run: json.loads((run / "evaluation.json").read_text())

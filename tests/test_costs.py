@@ -14,6 +14,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import make_task, simulate
+from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
 from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.envs.navigation import NavigationEnv
@@ -78,13 +79,17 @@ def test_operations_of_an_acting_policy(training):
 
 
 def test_operations_and_calls_of_an_update(training):
-    trainer = training.agent.trainer
-    [learner] = training.agent.parts.values()
-    batch = trainer._process_batch_hook(next(iter(training.agent.collector)))
-    trainer._pre_epoch_hook(batch)
+    learner = training.agent.learner
+    batch = next(iter(training.agent.collector))
+    if training.task.name == "indoor":
+        learner.store(batch)
+    minibatches = iter(() if training.task.name == "indoor" else learner.minibatches(batch))
 
     def update():
-        learner.step(trainer, learner.draw(batch))
+        if training.task.name == "indoor":
+            learner.step(draw_minibatch(learner.buffer))
+        else:
+            learner.update(next(minibatches))
 
     for _ in range(2):
         update()

@@ -1,4 +1,4 @@
-"""The package as it is installed: its list, its wheel, its versions."""
+"""The package as it is installed: its wheel, its versions."""
 
 from __future__ import annotations
 
@@ -48,15 +48,6 @@ def requirements(*extras: str) -> list[Requirement]:
     return [Requirement(line) for line in lines]
 
 
-def test_package_list_equals_the_tree():
-    found = {"gdrl_torchrl.conf"}
-    for base in (ROOT / "tasks", ROOT):
-        for name in ("gdrl_tasks", "gdrl_torchrl"):
-            for file in (base / name).rglob("*.py"):
-                found.add(".".join(file.parent.relative_to(base).parts))
-    assert set(PROJECT["tool"]["setuptools"]["packages"]) == found
-
-
 def test_constraints_have_one_exact_version_per_line():
     text = (ROOT / "constraints.txt").read_text()
     for line in text.splitlines():
@@ -102,7 +93,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     ignored = shutil.ignore_patterns("__pycache__", "*.egg-info")
-    for name in ("tasks", "gdrl_torchrl", "conf"):
+    for name in ("tasks", "gdrl_torchrl"):
         shutil.copytree(ROOT / name, source / name, ignore=ignored)
     options = (
         "--no-deps",
@@ -139,10 +130,9 @@ def test_wheel_has_all_files_and_no_others(wheel: Path):
         "gdrl_torchrl",
     }
     assert {"gdrl_tasks/py.typed", "gdrl_torchrl/py.typed"} <= names
-    for pattern, target in (("conf/**/*.yaml", "gdrl_torchrl/"), ("tasks/**/*.py", "")):
-        for file in ROOT.glob(pattern):
-            path = file.relative_to(ROOT).as_posix().removeprefix("tasks/")
-            assert target + path in names
+    patterns = ("gdrl_torchrl/**/*.py", "gdrl_torchrl/**/*.yaml", "tasks/**/*.py")
+    files = [file.relative_to(ROOT) for pattern in patterns for file in ROOT.glob(pattern)]
+    assert {file.as_posix().removeprefix("tasks/") for file in files} <= names
 
 
 @pytest.mark.slow

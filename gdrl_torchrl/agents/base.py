@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
-from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 from torchrl.objectives.common import LossModule
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.collectors.collects import Collects
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.agents.update import Update
 
@@ -24,8 +23,6 @@ MakeActor = Callable[[NavigationTask, NetworkConfig, Any], TensorDictModuleBase]
 MakeEnv = Callable[[int], EnvBase]
 """An environment of so many worlds, for a collector to step."""
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
-NO_FRAME_LIMIT = 1 << 62
-"""Budgets end training, not the trainer's own limit."""
 
 
 class HasState(Protocol):
@@ -40,44 +37,33 @@ class HasState(Protocol):
         ...
 
 
-class TrainsInSteps(Protocol):
-    """What a run asks of a trainer; TorchRL's are such."""
+class Learner(HasState, Protocol):
+    """Learns from batches."""
 
-    collected_frames: int
-    """Environment steps of the agent."""
-
-    def register_op(self, dest: Any, op: Callable, **kwargs: Any) -> None:
-        """Call ``op`` at a stage of every step."""
+    @property
+    def updates(self) -> Sequence[Update]:
+        """What makes its updates, counts those that were skipped and keeps their means."""
         ...
 
-    def register_module(self, module_name: str, module: Any) -> None:
-        """Note a part by name."""
-        ...
+    def learn(self, batch: TensorDictBase) -> None:
+        """Learn from a batch ``[W, T]`` that was just collected.
 
-    def request_stop(self) -> None:
-        """End training after this step."""
-        ...
-
-    def train(self) -> None:
-        """Train until asked to stop."""
+        Raises:
+            NonFiniteUpdateError: If something in an update is not finite.
+        """
         ...
 
 
 @dataclasses.dataclass
 class Agent:
-    """A policy and everything that trains it."""
+    """A policy and what trains it; one without a learner is trained by evolution alone."""
 
     actor: TensorDictModuleBase
-    trainer: TrainsInSteps
-    env: EnvBase | None = None
-    """What the collector steps, if there is one."""
+    learner: Learner | None = None
+    collector: Collects | None = None
+    """Steps the agent's worlds."""
     loss: LossModule | None = None
     optimizer: torch.optim.Optimizer | None = None
-    collector: Collector | AheadCollector | None = None
-    parts: Mapping[str, HasState] = dataclasses.field(default_factory=dict)
-    """Further state of the algorithm, by name."""
-    updates: Sequence[Update] = ()
-    """What counts the updates that were skipped."""
     critic: nn.Module | None = None
     """What ``evolution.critic_on_switch`` is about."""
     follow_switch: Callable[[float], object] | None = None

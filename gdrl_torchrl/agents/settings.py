@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from gdrl_torchrl.checks import (
@@ -13,7 +12,6 @@ from gdrl_torchrl.checks import (
     limits,
     within,
 )
-from gdrl_torchrl.plugins import Offers, with_plugins
 
 if TYPE_CHECKING:
     from gdrl_tasks import NavigationTask
@@ -63,9 +61,3 @@ def check_actions(task: NavigationTask, settings: Any) -> None:
             f"task.actions={given!r} must be {settings.actions!r} with algorithm.name="
             f"{settings.name!r}: give task.actions={settings.actions}"
         )
-
-
-def with_algorithms(own: Mapping[str, Any]) -> Offers:
-    """Ours by name, and the algorithms that other packages offer."""
-    needs = ("config", "make_actor", "make_agent")
-    return with_plugins(own, "gdrl.algorithms", needs=needs)

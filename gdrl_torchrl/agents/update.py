@@ -13,8 +13,6 @@ from torchrl.objectives.common import LossModule
 from gdrl_torchrl.agents.means import Means
 from gdrl_torchrl.fast.loss import TracedLoss
 
-NOTHING = TensorDict()
-"""For trainers, which average whatever an update returns: nobody reads that."""
 _logger = logging.getLogger(__name__)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from gdrl_tasks import task_names
 from gdrl_tasks.checks import described
-from gdrl_torchrl.config.algorithms import algorithm_configs
+from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.evolution.settings import EVOLUTIONS
@@ -54,7 +54,7 @@ def unknown_option(given: str, name: str, owner: type | None = None) -> str:
         owner: The dataclass of its section, if that is known.
 
     Examples:
-        >>> from gdrl_torchrl.config.algorithms import PPOConfig
+        >>> from gdrl_torchrl.agents.registry import PPOConfig
         >>> unknown_option("+algorithm.gama=0.5", "algorithm.gama", PPOConfig)
         '+algorithm.gama=0.5 must be an option that exists: did you mean algorithm.gamma?'
         >>> unknown_option("gamma=0.5", "gamma")

@@ -7,6 +7,7 @@ it is made and its errors name the field and the value.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from gdrl_torchrl.agents.settings import NetworkConfig
@@ -42,6 +43,19 @@ class BudgetConfig:
                 "budget.agent_steps=None, budget.total_steps=None, budget.wall_s=None: one "
                 "must be given"
             )
+
+    def is_spent(self, counters: Mapping[str, Any]) -> bool:
+        """Whether one of the budgets is reached.
+
+        Examples:
+            >>> counters = {"agent_steps": 10, "total_steps": 30, "wall_s": 1.0}
+            >>> BudgetConfig(agent_steps=11).is_spent(counters)
+            False
+            >>> BudgetConfig(agent_steps=11, total_steps=30).is_spent(counters)
+            True
+        """
+        limits = dataclasses.asdict(self).items()
+        return any(limit is not None and counters[name] >= limit for name, limit in limits)
 
 
 @dataclasses.dataclass

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import DMControlWrapper
+from torchrl.envs import DMControlWrapper, SerialEnv
 
 from gdrl_tasks import NavigationTask, Outcome
 from gdrl_tasks.engines.dm_env import make_environment
@@ -106,3 +107,21 @@ class NavigationDMControlEnv(DMControlWrapper):
         check_running(np.zeros(1, dtype=np.int64), self._env.task.arrays["outcome"])
         out = super()._step(tensordict)
         return out.set(keys.REWARD, out[keys.REWARD].to(torch.float32))
+
+
+class SerialWorlds(SerialEnv):
+    """Several :class:`NavigationDMControlEnv`, stepped one after another.
+
+    dm_control gives no access to all that a world's future depends on: there is no state
+    to return to, and whoever would return begins new episodes.
+    """
+
+    def watch(self, on_divergence: Callable[..., object]) -> None:
+        """Do nothing: a world that diverges only ends as such."""
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Nothing."""
+        return {}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Do nothing; the next reset begins new episodes."""

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from typing import Literal
 
-from torchrl.envs import EnvBase, SerialEnv
+from torchrl.envs import EnvBase
 
 from gdrl_tasks import NavigationTask
 from gdrl_tasks.engines.divergence import DivergedWorld
@@ -51,13 +51,13 @@ def make_env(
     if backend == "batch":
         env = NavigationEnv(task, num_worlds, num_threads=num_threads, seed=seed)
         if on_divergence is not None:
-            env.simulation.watch(on_divergence)
+            env.watch(on_divergence)
         return env
     if backend != "dm_control":
         raise ValueError(f"backend={backend!r} must be 'batch' or 'dm_control'")
     # dm_control takes a second to import, and nothing else here needs it.
-    from gdrl_torchrl.envs.dm_control import NavigationDMControlEnv
+    from gdrl_torchrl.envs.dm_control import NavigationDMControlEnv, SerialWorlds
 
     seeds = [None if seed is None else seed * 1000 + n for n in range(num_worlds)]
     makers = [functools.partial(NavigationDMControlEnv, task, seed=own) for own in seeds]
-    return SerialEnv(num_worlds, makers)
+    return SerialWorlds(num_worlds, makers)

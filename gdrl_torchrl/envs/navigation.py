@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from gdrl_tasks import BatchSimulation, NavigationTask, Outcome
+from gdrl_tasks.engines.divergence import DivergedWorld
 from gdrl_tasks.seeds import fresh_seed
 from gdrl_torchrl import keys
 from gdrl_torchrl.envs.record import RECORDED, make_entries
@@ -156,6 +158,10 @@ class NavigationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.simulation.seed = fresh_seed() if seed is None else seed
         self.simulation.num_episodes_begun = 0
+
+    def watch(self, on_divergence: Callable[[DivergedWorld], object]) -> None:
+        """Call a function with every world that diverges."""
+        self.simulation.watch(on_divergence)
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """The complete simulator state, as tensors by name (copies)."""

@@ -6,13 +6,12 @@ import dataclasses
 
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.base import Agent
-from gdrl_torchrl.agents.collectors.ahead import AheadCollector
 from gdrl_torchrl.agents.collectors.finite_batches import check_batch
+from gdrl_torchrl.agents.loop import TrainingLoop
 from gdrl_torchrl.agents.registry import algorithms
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import OnDivergence, make_env
-from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.hooks.base import Evolution
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.runs.build_evolution import make_evolution
@@ -24,20 +23,18 @@ class Training:
 
     task: NavigationTask
     agent: Agent
+    loop: TrainingLoop
     watch: EpisodeWatch
     """Counts the agent's episodes and their success."""
     evolution: Evolution | None
     """Evaluates populations; None for a bare agent."""
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the worlds."""
         if self.evolution is not None:
             self.evolution.evaluator.close()
-        env, collector = self.agent.env, self.agent.collector
-        if isinstance(collector, AheadCollector):
-            collector.shutdown()
-        if env is not None and not env.is_closed:
-            env.close()
+        if self.agent.collector is not None:
+            self.agent.collector.shutdown()
 
 
 def build_training(
@@ -58,21 +55,20 @@ def build_training(
     """
     task = make_task_of(config)
     agent = make_agent(task, config)
-    if on_divergence is not None and isinstance(agent.env, NavigationEnv):
-        agent.env.simulation.watch(on_divergence)
-    if on_divergence is not None and isinstance(agent.collector, AheadCollector):
+    if on_divergence is not None and agent.collector is not None:
         agent.collector.watch(on_divergence)
-    agent.trainer.register_op("batch_process", check_batch)
+    loop = TrainingLoop(agent.learner, agent.collector)
+    loop.register_op("batch_process", check_batch)
     watch = EpisodeWatch(config.evolution.window_episodes)
-    watch.register(agent.trainer)
+    watch.register(loop)
     evolution = make_evolution(config, task, agent, watch, on_divergence=on_divergence)
     if evolution is not None:
-        evolution.register(agent.trainer)
-    return Training(task, agent, watch, evolution)
+        evolution.register(loop)
+    return Training(task, agent, loop, watch, evolution)
 
 
 def make_agent(task: NavigationTask, config: ExperimentConfig) -> Agent:
-    """The agent of a run, and what trains it.
+    """The agent of a run.
 
     Raises:
         ValueError: If task and algorithm do not fit.

@@ -16,10 +16,12 @@ from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.envs.make import OnDivergence, make_env
 from gdrl_torchrl.evolution.hooks.base import Evolution
+from gdrl_torchrl.evolution.hooks.breeding import breeding_of
+from gdrl_torchrl.evolution.hooks.contest import contest_of
 from gdrl_torchrl.evolution.hooks.erl import ErlHook
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
 from gdrl_torchrl.evolution.hooks.genetic_algorithm import GeneticAlgorithm
-from gdrl_torchrl.evolution.hooks.parts import breeding_of, contest_of, hand_over_of
+from gdrl_torchrl.evolution.hooks.hand_over import hand_over_of
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointAdapter, CheckpointError
-from torchrl.collectors import Collector
 
-from gdrl_torchrl.envs.navigation import NavigationEnv
+from gdrl_torchrl.agents.base import HasState
 from gdrl_torchrl.files.checkpoint import (
     ADAPTER,
     COMPONENT,
@@ -35,9 +34,9 @@ _UNFINISHED = re.compile(r"\.+checkpoint-\d+\.torchrl(\..*)?")
 class TrainingState:
     """All state of a :class:`Training` as one ``state_dict``.
 
-    Networks, optimiser, evolution, simulator, replay or order of minibatches,
-    collector counters and the global torch generator. A dm_control environment has no
-    state to restore: a run on that backend resumes with new episodes.
+    Networks, optimiser, replay or order of minibatches, worlds, evolution, counters and
+    the global torch generator. A dm_control environment has no state to restore: a run on
+    that backend resumes with new episodes.
 
     Args:
         training: The objects.
@@ -48,44 +47,33 @@ class TrainingState:
         self.training = training
         self.counters = counters
 
+    def _parts(self) -> dict[str, HasState]:
+        """Those that there are, by name, in the order in which they are restored."""
+        training, agent = self.training, self.training.agent
+        parts: dict[str, Any] = {
+            "actor": agent.actor,
+            "loss": agent.loss,
+            "optimizer": agent.optimizer,
+            "learner": agent.learner,
+            "watch": training.watch,
+            "evolution": training.evolution,
+            "loop": training.loop,
+            "counters": self.counters,
+            "collector": agent.collector,
+        }
+        return {name: part for name, part in parts.items() if part is not None}
+
     def state_dict(self) -> dict[str, Any]:
         """State as nested dicts of tensors and plain values."""
-        training, agent = self.training, self.training.agent
-        env = agent.env
-        return {
-            "actor": dict(agent.actor.state_dict()),
-            "loss": None if agent.loss is None else dict(agent.loss.state_dict()),
-            "optimizer": agent.optimizer and agent.optimizer.state_dict(),
-            "watch": training.watch.state_dict(),
-            "evolution": training.evolution and training.evolution.state_dict(),
-            "env": env.get_state() if isinstance(env, NavigationEnv) else None,
-            "parts": {name: dict(p.state_dict()) for name, p in agent.parts.items()},
-            "counters": self.counters.state_dict(),
-            "collected_frames": int(agent.trainer.collected_frames),
-            "generator": torch.get_rng_state(),
+        state: dict[str, Any] = {
+            name: dict(part.state_dict()) for name, part in self._parts().items()
         }
+        return state | {"generator": torch.get_rng_state()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
-        training, agent = self.training, self.training.agent
-        agent.actor.load_state_dict(state_dict["actor"])
-        if agent.loss is not None:
-            agent.loss.load_state_dict(state_dict["loss"])
-        if agent.optimizer is not None:
-            agent.optimizer.load_state_dict(state_dict["optimizer"])
-        training.watch.load_state_dict(state_dict["watch"])
-        if training.evolution is not None:
-            training.evolution.load_state_dict(state_dict["evolution"])
-        for name, part in agent.parts.items():
-            part.load_state_dict(state_dict["parts"][name])
-        self.counters.load_state_dict(state_dict["counters"])
-        agent.trainer.collected_frames = state_dict["collected_frames"]
-        if state_dict["env"] is not None:
-            assert isinstance(agent.env, NavigationEnv)
-            agent.env.set_state(state_dict["env"])
-        if isinstance(agent.collector, Collector):
-            # The environment goes on from its state; the collector reads where that is.
-            agent.collector.reset()
+        for name, part in self._parts().items():
+            part.load_state_dict(state_dict[name])
         # Last: whatever came before must not have drawn from it.
         torch.set_rng_state(state_dict["generator"].to(torch.uint8))
 

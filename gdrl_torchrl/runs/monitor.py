@@ -12,11 +12,10 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torchrl.record.loggers import Logger
-from torchrl.trainers.trainers import TrainerHookBase
 from tqdm import tqdm
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.agents.base import TrainsInSteps
+from gdrl_torchrl.agents.loop import TrainingLoop
 from gdrl_torchrl.agents.update import Update
 from gdrl_torchrl.config.schema import BudgetConfig
 from gdrl_torchrl.evolution.hooks.base import (
@@ -55,7 +54,7 @@ _logger = logging.getLogger(__name__)
 _SECONDS_BETWEEN_LINES = 15.0
 
 
-class RunMonitor(TrainerHookBase):
+class RunMonitor:
     """Counts every cost, writes metrics, shows progress, saves and ends training.
 
     Args:
@@ -101,17 +100,17 @@ class RunMonitor(TrainerHookBase):
         self._said = self._started
         self._evaluation: GeneticEvaluation | None = None
         self._batch_stats: dict[str, float] = {}
-        self._trainer: TrainsInSteps | None = None
+        self._loop: TrainingLoop | None = None
         self._bar: tqdm | None = None
         if evolution is not None:
             evolution.on_evaluation.append(self._note_evaluation)
 
-    def register(self, trainer: TrainsInSteps, name: str = "run_monitor") -> None:
-        """Register with a trainer, after every hook whose work is to be reported."""
-        self._trainer = trainer
-        self.phases.register(trainer)
-        trainer.register_op("pre_steps_log", self._note_batch)
-        trainer.register_op("post_steps", self)
+    def register(self, loop: TrainingLoop) -> None:
+        """Register with a loop, after every hook whose work is to be reported."""
+        self._loop = loop
+        self.phases.register(loop)
+        loop.register_op("pre_steps_log", self._note_batch)
+        loop.register_op("post_steps", self)
 
     def start(self) -> None:
         """Start the clock and the progress bar."""
@@ -141,7 +140,7 @@ class RunMonitor(TrainerHookBase):
     @property
     def agent_steps(self) -> int:
         """Environment steps of the agent."""
-        return int(self._trainer.collected_frames) if self._trainer else 0
+        return self._loop.collected_frames if self._loop else 0
 
     @property
     def total_steps(self) -> int:
@@ -172,10 +171,10 @@ class RunMonitor(TrainerHookBase):
         if self.logger is not None:
             self.logger.log_metrics(_curves(row), step=self.total_steps)
         self._show(row)
-        spent = is_spent(self.budget, row)
+        spent = self.budget.is_spent(row)
         if spent or self.signals.received:
-            assert self._trainer is not None
-            self._trainer.request_stop()
+            assert self._loop is not None
+            self._loop.request_stop()
         now = time.monotonic()
         if spent or self.signals.received or now - self._saved >= self.save_interval_s:
             self.save(self.total_steps)
@@ -183,7 +182,7 @@ class RunMonitor(TrainerHookBase):
         self.phases.begin_row(self.total_steps)
 
     def state_dict(self) -> dict[str, Any]:
-        """The clock and diverged worlds; other counters belong to trainer and hook."""
+        """The clock and diverged worlds; other counters belong to loop and hook."""
         return {"wall_s": self.wall_s, "diverged": self._num_diverged()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -284,21 +283,3 @@ def _curves(row: dict[str, Any]) -> dict[str, Any]:
 
 def _of_agent(evaluation: GeneticEvaluation, fitness: torch.Tensor) -> float | None:
     return None if evaluation.agent is None else float(fitness[evaluation.agent])
-
-
-def is_spent(budget: BudgetConfig, counters: dict[str, Any]) -> bool:
-    """Whether one of the budgets is reached.
-
-    Examples:
-        >>> counters = {"agent_steps": 10, "total_steps": 30, "wall_s": 1.0}
-        >>> is_spent(BudgetConfig(agent_steps=11), counters)
-        False
-        >>> is_spent(BudgetConfig(agent_steps=11, total_steps=30), counters)
-        True
-    """
-    limits = (
-        (budget.agent_steps, counters["agent_steps"]),
-        (budget.total_steps, counters["total_steps"]),
-        (budget.wall_s, counters["wall_s"]),
-    )
-    return any(limit is not None and spent >= limit for limit, spent in limits)

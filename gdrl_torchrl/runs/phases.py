@@ -6,7 +6,7 @@ import time
 
 from tensordict import TensorDictBase
 
-from gdrl_torchrl.agents.base import TrainsInSteps
+from gdrl_torchrl.agents.loop import TrainingLoop
 
 PHASES = ("collect_s", "update_s", "evaluate_s", "report_s", "steps_per_s")
 """Columns of a :class:`PhaseClock`."""
@@ -15,17 +15,17 @@ PHASES = ("collect_s", "update_s", "evaluate_s", "report_s", "steps_per_s")
 class PhaseClock:
     """Seconds of collecting, updating, evaluating populations and reporting, by row.
 
-    Collecting includes what is done to a batch before the first update, such as storing
-    it. A row's ``report_s`` is what came after the row before: its writing, and saving.
+    Updating includes what is done to a batch before the first update, such as storing it.
+    A row's ``report_s`` is what came after the row before: its writing, and saving.
     """
 
     def __init__(self) -> None:
         self.start(0)
 
-    def register(self, trainer: TrainsInSteps) -> None:
-        """Register with a trainer."""
-        trainer.register_op("pre_steps_log", self._note_batch)
-        trainer.register_op("post_optim", self._note_update)
+    def register(self, loop: TrainingLoop) -> None:
+        """Register with a loop."""
+        loop.register_op("pre_steps_log", self._note_batch)
+        loop.register_op("post_optim", self._note_update)
 
     def start(self, total_steps: int) -> None:
         """Start the clock."""

@@ -21,11 +21,11 @@ from gdrl_torchrl.files.errors import RunDirectoryError
 
 _logger = logging.getLogger(__name__)
 
-RUN_VERSION = 1
+RUN_VERSION = 2
 """Version of what runs compute and of the state that they go on from.
 
 Raised whenever a change of the code makes ``params_sha256`` of any experiment another one,
-or checkpoints of before unusable: ``tests/training/test_results_version.py`` notices.
+or checkpoints of before unusable: ``tests/runs/test_results_version.py`` notices.
 """
 _PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "numpy", "numba")
 """What numbers depend on."""
@@ -75,10 +75,8 @@ def code_version() -> str:
     for name, root in _ROOTS.items():
         for source in sorted(root.rglob("*.py")):
             path = source.relative_to(root)
-            # Configurations are data, and beside the package where it is not installed.
-            if path.parts[0] != "conf":
-                digest.update(f"{name}/{path.as_posix()}".encode())
-                digest.update(source.read_bytes())
+            digest.update(f"{name}/{path.as_posix()}".encode())
+            digest.update(source.read_bytes())
     return f"{_version('gdrl_torchrl')}+{digest.hexdigest()[:8]}"
 
 

@@ -32,7 +32,7 @@ from gdrl_torchrl.runs.errors import (
     TrainingDivergedError,
     system_errors_named,
 )
-from gdrl_torchrl.runs.monitor import RunMonitor, columns_of, is_spent
+from gdrl_torchrl.runs.monitor import RunMonitor, columns_of
 from gdrl_torchrl.runs.place import (
     RUN_VERSION,
     code_version,
@@ -145,7 +145,8 @@ def _run(
     )
     training = build_training(config, on_divergence=faults.note_world)
     try:
-        costs = _train(directory, config, training, faults, signals)
+        with contextlib.closing(training):
+            costs = _train(directory, config, training, faults, signals)
         with signals.ending_at_once():
             report_run(directory, config, training, faults, costs)
     except (NonFiniteUpdateError, NonFiniteBatchError) as error:
@@ -155,8 +156,6 @@ def _run(
         raise WorkerDiedError(
             f"{directory.path}: {error}. The same command goes on from the last checkpoint"
         ) from error
-    finally:
-        training.close()
     return costs
 
 
@@ -165,7 +164,7 @@ def _is_complete(directory: RunDirectory, config: ExperimentConfig) -> bool:
     return (
         done is not None
         and (done.get("version", 0) == RUN_VERSION or config.force)
-        and is_spent(config.budget, done["costs"])
+        and config.budget.is_spent(done["costs"])
         and done["evaluation"] == dataclasses.asdict(config.evaluation)
     )
 
@@ -177,7 +176,9 @@ def _train(
     faults: FaultFiles,
     signals: StopSignals,
 ) -> dict[str, Any]:
-    table = MetricsTable(directory.metrics, columns_of(training.agent.updates))
+    learner = training.agent.learner
+    updates = () if learner is None else learner.updates
+    table = MetricsTable(directory.metrics, columns_of(updates))
 
     def save(step: int) -> None:
         # First what a run that goes on from this checkpoint will not write again.
@@ -196,10 +197,10 @@ def _train(
             save=save,
             save_interval_s=config.checkpoint.interval_s,
             faults=faults,
-            updates=training.agent.updates,
+            updates=updates,
             signals=signals,
         )
-        monitor.register(training.agent.trainer)
+        monitor.register(training.loop)
         state = TrainingState(training, monitor)
         checkpoints = Checkpoints(
             directory.checkpoints,
@@ -214,10 +215,10 @@ def _train(
             raise RunDirectoryError(str(error)) from error
         table.cut_after(monitor.total_steps)
         monitor.logger = _make_logger(directory, config, stack, monitor.total_steps)
-        if not signals.received and not is_spent(config.budget, monitor.counters()):
+        if not signals.received and not config.budget.is_spent(monitor.counters()):
             monitor.start()
             stack.callback(monitor.stop)
-            training.agent.trainer.train()
+            training.loop.train()
         if signals.received:
             raise StoppedError
     return monitor.counters()

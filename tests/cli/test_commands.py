@@ -15,25 +15,20 @@ import pytest
 
 from gdrl_torchrl.cli.evaluate import evaluate_run
 from gdrl_torchrl.files.run_table import find_runs
+from tests.small import tiny_options
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
-OVERRIDES = (
-    "seed=5",
-    "task.sea=calm",
-    "task.step_limit=12",
-    "algorithm.num_worlds=4",
-    "algorithm.frames_per_batch=40",
-    "algorithm.minibatch_size=20",
-    "algorithm.num_epochs=1",
-    "network.actor_cells=[8]",
-    "network.critic_cells=[8]",
-    "evolution.num_children=2",
-    "evolution.num_trials=2",
-    "evolution.period_episodes=100",
-    "evaluation.episodes=6",
-    "evaluation.num_worlds=6",
-    "budget.agent_steps=3200",
-    "logger.video_episodes=1",
+OVERRIDES = tiny_options(
+    "gppo_water",
+    [
+        "seed=5",
+        "evolution.period_episodes=100",
+        "evaluation.episodes=6",
+        "evaluation.num_worlds=6",
+        "budget.agent_steps=3200",
+        "logger.tensorboard=true",
+        "logger.video_episodes=1",
+    ],
 )
 EVALUATION_KEYS = [
     "task",
@@ -138,7 +133,7 @@ def check_the_directory(path):
 
 def check_what_was_given_is_kept(path):
     kept = json.loads((path / "overrides.json").read_text())
-    assert kept == {"overrides": list(OVERRIDES)}
+    assert kept == {"overrides": OVERRIDES}
 
 
 def check_the_evaluation(path):

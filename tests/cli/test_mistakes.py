@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import subprocess
 import sys
@@ -13,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from gdrl_tasks import task_names, task_options
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.config.algorithms import ALGORITHMS
 from gdrl_torchrl.config.options import section_classes
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
@@ -23,12 +24,25 @@ from gdrl_torchrl.evolution.settings import CROSSOVERS, EVOLUTIONS, MUTATIONS, T
 
 ROOT = Path(__file__).parents[2]
 RUN = """
-import atexit, importlib, sys
-command, sys.argv = sys.argv[1], [f"gdrl-{sys.argv[1]}", *sys.argv[2:]]
-atexit.register(lambda: print("torch" if "torch" in sys.modules else "quick"))
-importlib.import_module(f"gdrl_torchrl.cli.{command}").main()
+import atexit, importlib, json, os, sys
+command, folder, lines = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
+main = importlib.import_module(f"gdrl_torchrl.cli.{command}").main
+for number, arguments in enumerate(lines):
+    child = os.fork()
+    if child == 0:
+        for stream, name in ((1, "printed"), (2, "said")):
+            file = os.open(f"{folder}/{number}.{name}", os.O_WRONLY | os.O_CREAT)
+            os.dup2(file, stream)
+        atexit.register(lambda: print("torch" if "torch" in sys.modules else "quick"))
+        sys.argv = [f"gdrl-{command}", *arguments]
+        main()
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-"""A command that prints at its end whether torch, which takes seconds, was imported."""
+"""A command with one line of arguments after the other, each in a fork that has imported
+nothing but the command; it prints at its end whether torch, which takes seconds, was
+imported."""
+COMMANDS = ("train", "evaluate", "runs", "search", "replay")
 MISTAKES = {
     "gdrl-train experiment=gpo_water": (
         "experiment=gpo_water must be one that exists: did you mean experiment=gppo_water?"
@@ -108,31 +122,39 @@ OTHERS = {
 }
 
 
-def run(line, folder):
-    """A command's exit code, and what it printed and said."""
-    name, *arguments = shlex.split(line)
+def answers(command, lines, folder, tmp_path_factory):
+    """The exit code of each line of a command, and what it printed and said."""
+    streams = tmp_path_factory.mktemp("streams")
+    arguments = [shlex.split(line)[1:] for line in lines]
     done = subprocess.run(
-        [sys.executable, "-c", RUN, name.removeprefix("gdrl-"), *arguments],
+        [sys.executable, "-c", RUN, command, str(streams), json.dumps(arguments)],
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=120,
-        check=False,
+        timeout=300,
+        check=True,
     )
-    return done.returncode, done.stdout.splitlines(), done.stderr
+    for number, (line, code) in enumerate(zip(lines, done.stdout.split(), strict=True)):
+        printed, said = (
+            (streams / f"{number}.{name}").read_text() for name in ("printed", "said")
+        )
+        yield line, int(code), printed.splitlines(), said
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("line", "text"), (MISTAKES | OTHERS).items())
-def test_a_mistake_is_one_line_that_says_what_to_do(line, text, tmp_path):
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_mistake_is_one_line_that_says_what_to_do(command, tmp_path, tmp_path_factory):
     below = tmp_path / "here" / "below"
     below.mkdir(parents=True)
-    code, printed, said = run(line, below)
-    assert code == 1
-    assert said.startswith("error: ")
-    assert said.count("\n") == 1, said
-    assert (said == f"error: {text}\n") if line in MISTAKES else (text in said)
-    assert printed == ["quick"]
+    texts = MISTAKES | OTHERS
+    lines = [line for line in texts if shlex.split(line)[0] == f"gdrl-{command}"]
+    for line, code, printed, said in answers(command, lines, below, tmp_path_factory):
+        assert code == 1, line
+        assert said.startswith("error: "), line
+        assert said.count("\n") == 1, said
+        exact = said == f"error: {texts[line]}\n"
+        assert exact if line in MISTAKES else (texts[line] in said), said
+        assert printed == ["quick"], line
     assert [*tmp_path.rglob("*")] == [below.parent, below], "nothing may be written"
 
 
@@ -143,9 +165,12 @@ def test_the_mistakes_are_documented_with_what_is_said():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["train", "evaluate", "runs", "search", "replay"])
-def test_help_has_a_meaning_for_everything_and_two_examples(command, tmp_path):
-    code, printed, said = run(f"gdrl-{command} --help", tmp_path)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_a_meaning_for_everything_and_two_examples(
+    command, tmp_path, tmp_path_factory
+):
+    line = f"gdrl-{command} --help"
+    [(_, code, printed, said)] = answers(command, [line], tmp_path, tmp_path_factory)
     assert (code, said) == (0, "")
     assert printed[-1] == "quick"
     assert printed[0].startswith(f"usage: gdrl-{command} ")
@@ -155,14 +180,16 @@ def test_help_has_a_meaning_for_everything_and_two_examples(command, tmp_path):
     assert not [row for row in rows if row.endswith(" -")], "without a meaning"
 
 
-def test_the_help_of_training_lists_groups_and_options(tmp_path):
-    _, printed, _ = run("gdrl-train --help", tmp_path)
-    names = {line.split()[0] for line in printed if line.startswith("  ")}
-    assert names >= {"gppo_water", "grainbow_indoor", "water", "ppo", "erl", "trials"}
-    assert names >= {"seed=0", "budget.agent_steps=null", "evaluation.episodes=500"}
-    _, printed, _ = run("gdrl-train --help algorithm=rainbow task=indoor", tmp_path)
-    names = {line.split()[0] for line in printed if line.startswith("  ")}
-    assert names >= {"algorithm.num_atoms=51", "task.num_beams=19"}
+def test_the_help_of_training_lists_groups_and_options(tmp_path, tmp_path_factory):
+    lines = ["gdrl-train --help", "gdrl-train --help algorithm=rainbow task=indoor"]
+    told = answers("train", lines, tmp_path, tmp_path_factory)
+    plain, chosen = (
+        {line.split()[0] for line in printed if line.startswith("  ")}
+        for _, _, printed, _ in told
+    )
+    assert plain >= {"gppo_water", "grainbow_indoor", "water", "ppo", "erl", "trials"}
+    assert plain >= {"seed=0", "budget.agent_steps=null", "evaluation.episodes=500"}
+    assert chosen >= {"algorithm.num_atoms=51", "task.num_beams=19"}
 
 
 def test_every_option_has_a_sentence():

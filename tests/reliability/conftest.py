@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 import subprocess
 from pathlib import Path
 
-import gdrl_torchrl.conf
 import pytest
 
+import gdrl_torchrl.conf
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.evolution.settings import ErlConfig
-from gdrl_torchrl.runs.phases import PHASES
+from tests.small import easy_options, small_options
 
 ROWS = 90
 DISK_KB = 4096
-# So near that some get there: a population without differences hands nothing over.
-OF_TASK = {
-    "indoor": [],
-    "water": [
-        "task.sea=calm",
-        "task.goal_distance_m=[0.7,1.2]",
-        "task.goal_tolerance_m=0.6",
-        "task.step_limit=12",
-    ],
-}
 # Children so different that some are better, and a test that so few episodes can pass:
 # there are hand-overs.
 GENETIC = ["evolution.mut_v=1.0", "evolution.level=0.9"]
@@ -59,13 +48,13 @@ def pytest_generate_tests(metafunc):
 
 
 @pytest.fixture
-def options_of(small_options):
+def options_of():
     """Overrides that make an experiment small: some 90 rows in a few seconds."""
 
     def options(experiment):
         chosen = small_options(experiment)
         config = load_experiment(chosen)
-        chosen += OF_TASK[config.task.name]
+        chosen += easy_options(config.task.name)
         evolution = config.evolution
         is_genetic = evolution.enabled and not isinstance(evolution, ErlConfig)
         # Controls have children without differences.
@@ -77,17 +66,6 @@ def options_of(small_options):
         return [*chosen, *budget]
 
     return options
-
-
-@pytest.fixture
-def rows_of():
-    def rows(run):
-        """Rows of a run's metrics, without the clock."""
-        with (run / "metrics.csv").open(newline="") as file:
-            blank = dict.fromkeys(("wall_s", *PHASES))
-            return [row | blank for row in csv.DictReader(file)]
-
-    return rows
 
 
 @pytest.fixture

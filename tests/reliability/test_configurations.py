@@ -1,14 +1,11 @@
-"""Configurations: every field has a type and a range; any of them runs or is refused."""
+"""Any configuration runs, or is refused with the name of what is wrong."""
 
 from __future__ import annotations
 
 import collections
 import dataclasses
 import functools
-import importlib
 import math
-import pkgutil
-import re
 import sys
 import typing
 from importlib import resources
@@ -18,234 +15,18 @@ import torch
 from hypothesis import HealthCheck, event, given, note, settings
 from hypothesis import strategies as st
 
-import gdrl_torchrl.config
-from gdrl_tasks import task_names, task_options
-from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_tasks import task_options
+from gdrl_torchrl.agents.registry import ALGORITHMS
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.config.algorithms import ALGORITHMS, algorithm_configs
 from gdrl_torchrl.config.relations import make_task_of
-from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
-from gdrl_torchrl.config.search import SearchConfig
+from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.evolution.settings import EVOLUTIONS, ErlConfig
+from gdrl_torchrl.evolution.settings import ErlConfig
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
 from gdrl_torchrl.runs.evaluate import evaluate_policy
-
-# What every field is held to
-
-
-def types_of(owner):
-    return typing.get_type_hints(owner)
-
-
-PARTS = {
-    name: kind
-    for name, kind in types_of(ExperimentConfig).items()
-    if dataclasses.is_dataclass(kind)
-}
-"""The parts of an experiment that are always the same class, by group."""
-CONFIGS = [
-    ("", ExperimentConfig),
-    ("search", SearchConfig),
-    *PARTS.items(),
-    *(("algorithm", config) for config in algorithm_configs().values()),
-    *(("evolution", config) for config in EVOLUTIONS.values()),
-    *(("", task_options(name)) for name in task_names()),
-]
-NEEDED = {
-    SearchConfig: {"params": {"seed": "choice(0, 1)"}},
-    BudgetConfig: {"agent_steps": 10},
-}
-
-
-def scalars_of(kind):
-    """The types that a type is made of."""
-    parts = typing.get_args(kind)
-    if typing.get_origin(kind) is typing.Literal:
-        return {str}
-    return set().union(*map(scalars_of, parts)) if parts else {kind}
-
-
-def is_sequence(kind):
-    kinds = {typing.get_origin(kind), *map(typing.get_origin, typing.get_args(kind))}
-    return bool(kinds & {list, tuple})
-
-
-def fields_of(*wanted):
-    """Every field of every configuration that is made of one of some types."""
-    return [
-        pytest.param(group, owner, field.name, kind, id=f"{owner.__name__}.{field.name}")
-        for group, owner in CONFIGS
-        for field in dataclasses.fields(owner)
-        for kind in [types_of(owner)[field.name]]
-        if scalars_of(kind) & set(wanted) and typing.get_origin(kind) is not dict
-    ]
-
-
-NUMBERS = fields_of(int, float)
-WRONG_NUMBERS = (-(10**30), 10**30, -1e30, 1e30, math.nan, math.inf, -math.inf)
-NO_NUMBERS = (True, "1", b"1", 1j, {}, object)
-
-
-def refusal(group, owner, name, value):
-    """What is said about a value; it names the field and the value."""
-    start = f"{group}.{name}={value!r} must " if group else f"{name}={value!r} must "
-    with pytest.raises(ValueError, match=f"^{re.escape(start)}") as refused:
-        owner(**{**NEEDED.get(owner, {}), name: value})
-    return str(refused.value)
-
-
-def in_place(owner, name, kind, value):
-    """A value as a field's, or as one element of a sequence."""
-    if not is_sequence(kind):
-        return value
-    default = getattr(owner(**NEEDED.get(owner, {})), name)
-    changed = [*default[:-1], value]
-    return changed if isinstance(default, list) else tuple(changed)
-
-
-def assert_bounds_are_named(said):
-    assert re.search(r"(>|>=) -?\d\S* and (<|<=) -?\d", said), said
-
-
-def test_no_configuration_is_forgotten():
-    modules = [
-        importlib.import_module(f"gdrl_torchrl.config.{module.name}")
-        for module in pkgutil.iter_modules(gdrl_torchrl.config.__path__)
-    ]
-    found = {
-        value
-        for module in modules
-        for value in vars(module).values()
-        if isinstance(value, type)
-        and dataclasses.is_dataclass(value)
-        and value.__module__ == module.__name__
-    }
-    assert found <= {config for _, config in CONFIGS}
-    assert len(NUMBERS) > 80
-
-
-@pytest.mark.parametrize(("group", "owner", "name", "kind"), NUMBERS)
-def test_every_number_has_a_type_and_two_ends(group, owner, name, kind):
-    for value in (*WRONG_NUMBERS, *NO_NUMBERS):
-        said = refusal(group, owner, name, in_place(owner, name, kind, value))
-        assert_bounds_are_named(said)
-
-
-@pytest.mark.parametrize(("group", "owner", "name", "kind"), NUMBERS)
-def test_the_ends_that_are_said_are_those_that_hold(group, owner, name, kind):
-    whole = int in scalars_of(kind)
-    (field,) = (field for field in dataclasses.fields(owner) if field.name == name)
-    bounds = field.metadata["range"]
-    outside = [
-        bounds.least - 1 if whole else math.nextafter(bounds.least, -math.inf),
-        bounds.most + 1 if whole else math.nextafter(bounds.most, math.inf),
-        bounds.above,
-        bounds.below,
-    ]
-    ends = [value for value in outside if math.isfinite(value)]
-    assert len(ends) == 2
-    for value in ends:
-        said = refusal(group, owner, name, in_place(owner, name, kind, value))
-        assert_bounds_are_named(said)
-
-
-@pytest.mark.parametrize(("group", "owner", "name", "kind"), fields_of(int))
-def test_counts_are_whole(group, owner, name, kind):
-    refusal(group, owner, name, in_place(owner, name, kind, 2.0))
-
-
-@pytest.mark.parametrize(("group", "owner", "name", "kind"), fields_of(bool, str))
-def test_words_and_switches_have_their_type(group, owner, name, kind):
-    for value in (1, 0.5, b"calm", []):
-        refusal(group, owner, name, in_place(owner, name, kind, value))
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_a_part_is_of_its_class(name):
-    refusal("", ExperimentConfig, name, {"episodes": 3})
-
-
-def test_numbers_of_numpy_become_pythons():
-    numpy = pytest.importorskip("numpy")
-    config = ALGORITHMS["ppo"](num_worlds=numpy.int64(8), gamma=numpy.float32(0.5))
-    assert (type(config.num_worlds), type(config.gamma)) == (int, float)
-    options = task_options("indoor")(turn_rates_deg_s=numpy.array([-30.0, 30.0]))
-    assert options.turn_rates_deg_s == (-30.0, 30.0)
-    assert {type(rate) for rate in options.turn_rates_deg_s} == {float}
-
-
-# What must hold between fields
-
-REFUSAL = re.compile(r"(?:task: )?([a-z_]+(?:\.[a-z_]+)?)=\S.* must .+", re.DOTALL)
-"""What an error says: the name of a field, its value and what must be."""
-RAINBOW = "experiment=grainbow_indoor"
-GA = "experiment=ga_water"
-
-
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        "algorithm.num_worlds=7 algorithm.frames_per_batch=2048",
-        "algorithm.minibatch_size=512 algorithm.frames_per_batch=256",
-        f"{RAINBOW} algorithm.warmup_steps=300 algorithm.replay_capacity=256",
-        f"{RAINBOW} algorithm.epsilon_end=0.5 algorithm.epsilon_start=0.2",
-        f"{RAINBOW} algorithm.num_steps=9 task.step_limit=8",
-        f"{RAINBOW} algorithm.num_steps=501 task.step_limit=null",
-        f"{RAINBOW} evolution.critic_on_switch=reset",
-        f"{GA} algorithm.population_size=20 algorithm.num_parents=21",
-        f"{GA} algorithm.population_size=20 algorithm.num_validated=21",
-        f"{GA} algorithm.population_size=20000 algorithm.num_trials=6",
-        f"{GA} budget.agent_steps=100 budget.total_steps=null",
-        f"{GA} evolution.enabled=true",
-        "evolution.num_children=1000 evolution.num_trials=1000",
-        "evolution.test_trials=1000 evolution.num_looks=11",
-        "evolution.rates=[0.5] evolution.thresholds=[0.5]",
-        "evolution=erl evolution.num_elites=3 evolution.population_size=4",
-        "task.backend=dm_control seed=5000000",
-        "task.goal_tolerance_m=2.5 task.goal_distance_m=[2.0,6.0]",
-        "task.control_interval_s=0.3 task.substep_s=0.04",
-        "budget.agent_steps=null",
-        "network.actor_cells=[4096,4096] evolution.num_children=17",
-        f"{GA} network.actor_cells=[4096,4096] algorithm.population_size=21",
-    ],
-)
-def test_fields_that_exclude_each_other_are_named_together(overrides):
-    with pytest.raises(ValueError, match="must") as refused:
-        make_task_of(load_experiment(overrides.split()))
-    said = str(refused.value)
-    assert REFUSAL.fullmatch(said), said
-    for name, value in re.findall(r"\w+\.(\w+)=(\S+)", overrides):
-        assert name in said
-        assert all(number in said for number in re.findall(r"[\d.]+", value)), said
-
-
-@pytest.mark.parametrize("name", ["actor_cells", "critic_cells"])
-def test_widths_that_are_large_together_are_refused(name):
-    assert NetworkConfig(**{name: [16_384]})
-    with pytest.raises(ValueError, match="must have at most 16777216 weights") as refused:
-        NetworkConfig(**{name: [16_384] * 3})
-    assert f"network.{name}=[16384, 16384, 16384]" in str(refused.value)
-
-
-def test_an_experiment_needs_a_task_and_an_algorithm():
-    config = load_experiment([])
-    for name in ("task", "algorithm"):
-        with pytest.raises(ValueError, match=f"{name}=None must be given"):
-            make_task_of(dataclasses.replace(config, **{name: None}))
-
-
-def test_a_population_larger_than_its_worlds_takes_turns():
-    options = ["evolution.num_children=4", "evolution.num_trials=3", "task.step_limit=3"]
-    training = build_training(load_experiment([*options, "evolution.num_worlds=2"]))
-    evaluation = training.evolution.evaluate()
-    training.close()
-    assert evaluation.scores.batch_size == (5,)
-    assert evaluation.population_steps == 5 * 3 * 3
-
-
-# Random configurations
+from tests import small
+from tests.config.fields import PARTS, REFUSAL, scalars_of, types_of
 
 KINDS = sorted(
     entry.name.removesuffix(".yaml")
@@ -257,38 +38,12 @@ SYSTEMS = [
     *[("ga", "none")] * 4,
     ("ga", "genetic"),
 ]
-LEARNER = {"num_worlds": 4, "frames_per_batch": 40}
 SMALL = {
-    "ppo": {**LEARNER, "minibatch_size": 20, "num_epochs": 1},
-    "rainbow": {
-        **LEARNER,
-        "minibatch_size": 16,
-        "updates_per_batch": 2,
-        "num_steps": 3,
-        "num_atoms": 11,
-        "warmup_steps": 60,
-        "replay_capacity": 200,
-    },
-    "ga": {
-        "population_size": 3,
-        "num_parents": 2,
-        "num_validated": 1,
-        "num_trials": 2,
-        "validation_trials": 2,
-    },
-    "water": {"goal_distance_m": [0.7, 1.2], "goal_tolerance_m": 0.6, "step_limit": 8},
-    "indoor": {"num_beams": 5, "goal_tolerance_m": 0.5, "step_limit": 8},
-    "genetic": {
-        "num_children": 2,
-        "num_trials": 2,
-        "period_episodes": 8,
-        "window_episodes": 4,
-        "screening_trials": 1,
-        "test_trials": 2,
-    },
-    "erl": {"population_size": 3, "num_elites": 1, "num_trials": 2, "period_episodes": 8},
-    "network": {"actor_cells": [8, 8], "critic_cells": [8]},
-    "evaluation": {"episodes": 2, "num_worlds": 2},
+    **small.ALGORITHMS,
+    **small.TASKS,
+    **small.OTHERS,
+    "genetic": {**small.GENETIC, "window_episodes": 4},
+    "erl": {**small.ERL, "period_episodes": 8},
     "simulation": {"num_threads": 1},
     "budget": {"total_steps": 1000},
 }
@@ -428,16 +183,16 @@ def run_ten_iterations(config):
     """Train, then evaluate."""
     seed_everything(config.seed)
     training = build_training(config)
-    trainer, iterations = training.agent.trainer, []
+    loop, iterations = training.loop, []
 
     def count():
         iterations.append(len(iterations))
         if len(iterations) == 10:
-            trainer.request_stop()
+            loop.request_stop()
 
-    trainer.register_op("post_steps", count)
+    loop.register_op("post_steps", count)
     try:
-        trainer.train()
+        loop.train()
         scores = evaluate_policy(
             training.task,
             training.agent.actor,

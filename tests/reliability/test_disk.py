@@ -14,7 +14,6 @@ from gdrl_torchrl.cli.evaluate import evaluate_run
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.run_table import run_row
-from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs.run import run_experiment
 
 ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
@@ -22,10 +21,7 @@ ROOM_KB = (0, 4, 12, 24, 48, 100, 160, 240, 400)
 
 
 @pytest.fixture
-def run_on(options_of, monkeypatch):
-    for name in ("draw_learning_curve", "draw_trajectories"):
-        monkeypatch.setattr(figures, name, lambda path: None)
-
+def run_on(options_of, without_figures):
     def run(folder):
         small = ["budget.agent_steps=400", "checkpoint.interval_s=0"]
         options = [*options_of("gppo_water"), *small, f"runs_dir={folder}"]
@@ -125,10 +121,9 @@ def test_a_container_whose_package_and_home_are_only_read_trains(tmp_path):
     without = shutil.ignore_patterns("__pycache__")
     for name, source in (
         ("gdrl_torchrl", root / "gdrl_torchrl"),
-        ("gdrl_torchrl/conf", root / "conf"),
         ("gdrl_tasks", root / "tasks" / "gdrl_tasks"),
     ):
-        shutil.copytree(source, site / name, ignore=without, dirs_exist_ok=True)
+        shutil.copytree(source, site / name, ignore=without)
     (tmp_path / "home").mkdir()
     options = "experiment=gppo_water toy=true logger.video_episodes=0"
     done = in_its_own_mounts(

@@ -12,7 +12,7 @@ import pytest
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 ONE_OF_MANY = """
 import json, pathlib, sys, time
-from gdrl_torchrl.cli.search import Search
+from gdrl_torchrl.cli.trials.search import Search
 from gdrl_torchrl.config.search import SearchConfig
 
 folder, number, storage = sys.argv[1:]

@@ -8,7 +8,6 @@ import statistics
 import pytest
 
 from gdrl_torchrl.cli.shared.compose import load_experiment
-from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs.monitor import RunMonitor
 from gdrl_torchrl.runs.run import run_experiment
 
@@ -29,9 +28,8 @@ def resident_kb():
     "experiment",
     ["grainbow_indoor", "gppo_water", "erl_indoor", "paired_water", "ga_water"],
 )
+@pytest.mark.usefixtures("without_figures")
 def test_nothing_grows_over_200_evaluations(experiment, options_of, tmp_path, monkeypatch):
-    for name in ("draw_learning_curve", "draw_trajectories"):
-        monkeypatch.setattr(figures, name, lambda path: None)
     samples = []
     note = RunMonitor._note_evaluation
 

@@ -1,32 +1,23 @@
-"""Advantage actor-critic on TorchRL's own trainer."""
+"""Advantage actor-critic, of TorchRL's loss and advantages."""
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from typing import Any, ClassVar
 
 import torch
-from torchrl.collectors import Collector
-from torchrl.data import (
-    LazyTensorStorage,
-    SamplerWithoutReplacement,
-    TensorDictReplayBuffer,
-)
+from tensordict import TensorDictBase
+from torch.optim import Optimizer
 from torchrl.objectives import A2CLoss
 from torchrl.objectives.value import GAE
-from torchrl.trainers.algorithms import A2CTrainer
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.agents.base import (
-    NO_FRAME_LIMIT,
-    Agent,
-    Algorithm,
-    MakeEnv,
-)
+from gdrl_torchrl.agents.base import Agent, Algorithm, MakeEnv
+from gdrl_torchrl.agents.collectors.navigation import make_collector
 from gdrl_torchrl.agents.networks import make_value_network
 from gdrl_torchrl.agents.ppo.agent import make_ppo_actor
 from gdrl_torchrl.agents.settings import NetworkConfig
+from gdrl_torchrl.agents.update import Update
 
 
 @dataclasses.dataclass
@@ -50,57 +41,65 @@ class A2CConfig:
             )
 
 
+class A2CLearner:
+    """One update per batch.
+
+    Args:
+        loss: The loss.
+        advantage: Writes what the loss reads into batches ``[W, T]``.
+        optimizer: Optimiser of the loss's parameters.
+        on_non_finite: As of :class:`~gdrl_torchrl.agents.update.Update`.
+    """
+
+    def __init__(
+        self, loss: A2CLoss, advantage: GAE, optimizer: Optimizer, on_non_finite: str
+    ) -> None:
+        self.advantage = advantage
+        self.update = Update(loss, optimizer, 1.0, on_non_finite=on_non_finite)
+        self.updates = [self.update]
+
+    def learn(self, batch: TensorDictBase) -> None:
+        """Learn from a batch ``[W, T]``."""
+        self.update(self.advantage(batch).reshape(-1))
+
+    def state_dict(self) -> dict[str, Any]:
+        """A counter: all else is the optimiser's and the networks'."""
+        return {"num_skipped": self.update.num_skipped}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Return to a state of :meth:`state_dict`."""
+        self.update.num_skipped = state_dict["num_skipped"]
+
+
 def make_a2c_agent(
     task: NavigationTask,
     network: NetworkConfig,
     settings: A2CConfig,
     *,
     make_env: MakeEnv,
+    on_non_finite: str = "stop",
     **others: Any,
 ) -> Agent:
-    """Build the agent, its environment and its trainer."""
-    env = make_env(settings.num_worlds)
+    """Build the agent, with its worlds."""
     actor = make_ppo_actor(task, network, settings)
     critic = make_value_network(
         task.spec.observation_size, num_cells=tuple(network.critic_cells)
     )
     loss = A2CLoss(actor, critic)
     optimizer = torch.optim.Adam(loss.parameters(), lr=settings.learning_rate)
-    collector = Collector(
-        env,
+    advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=critic)
+    collector = make_collector(
+        make_env(settings.num_worlds),
         actor,
         frames_per_batch=settings.frames_per_batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
+        policy_keys=["action_log_prob"],
     )
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(settings.frames_per_batch),
-        sampler=SamplerWithoutReplacement(),
-        batch_size=settings.frames_per_batch,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        trainer = A2CTrainer(
-            collector=collector,
-            total_frames=NO_FRAME_LIMIT,
-            frame_skip=1,
-            optim_steps_per_batch=1,
-            num_epochs=1,
-            loss_module=loss,
-            optimizer=optimizer,
-            replay_buffer=buffer,
-            gae=GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=critic),
-            enable_logging=False,
-            auto_log_optim_steps=False,
-            progress_bar=False,
-        )
     return Agent(
         actor,
-        trainer,
-        env=env,
+        A2CLearner(loss, advantage, optimizer, on_non_finite),
+        collector,
         loss=loss,
         optimizer=optimizer,
-        collector=collector,
         critic=critic,
     )
 

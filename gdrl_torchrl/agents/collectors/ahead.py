@@ -11,15 +11,14 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector
 
 from gdrl_tasks.engines.divergence import DivergedWorld
 from gdrl_torchrl import keys
+from gdrl_torchrl.agents.collectors.collects import EnvCollector
 from gdrl_torchrl.agents.collectors.finite_batches import check_batch
 from gdrl_torchrl.agents.collectors.worker import ForkedWorker, LocalWorker
-from gdrl_torchrl.envs.navigation import NavigationEnv
 
-MakeCollector = Callable[[], Collector]
+MakeCollector = Callable[[], EnvCollector]
 
 
 class AheadCollector:
@@ -49,6 +48,7 @@ class AheadCollector:
     Examples:
         >>> from gdrl_tasks import make_task
         >>> from gdrl_torchrl.agents.rainbow.network import make_q_actor
+        >>> from gdrl_torchrl.envs.navigation import NavigationEnv
         >>> from gdrl_torchrl.agents.collectors.navigation import make_collector
         >>> task = make_task("indoor")
         >>> size = task.spec.observation_size
@@ -61,9 +61,6 @@ class AheadCollector:
         torch.Size([2, 4])
         >>> collector.shutdown()
     """
-
-    init_random_frames = 0
-    """Read by TorchRL's trainers."""
 
     def __init__(
         self,
@@ -154,9 +151,7 @@ class _Worlds:
         with self._own_draws():
             self._collector = make_collector()
         self._batches = iter(self._collector)
-        self._env: Any = self._collector.env
-        if isinstance(self._env, NavigationEnv):
-            self._env.simulation.watch(self._diverged.append)
+        self._collector.watch(self._diverged.append)
 
     def collect(self, weights: list[np.ndarray]) -> tuple[dict[str, Any], list[Any]]:
         """A batch, as arrays by name, and the worlds that diverged in it."""
@@ -170,19 +165,15 @@ class _Worlds:
 
     def get_state(self) -> dict[str, Any]:
         """All that the next batch depends on, but weights."""
-        env = None
-        if isinstance(self._env, NavigationEnv):
-            env = {name: x.numpy() for name, x in self._env.get_state().items()}
-        return {"env": env, "generator": self._generator.numpy()}
+        return {
+            "collector": _arrays(self._collector.state_dict()),
+            "generator": self._generator.numpy(),
+        }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Return to a state of :meth:`get_state`."""
-        if state["env"] is not None:
-            arrays = {name: torch.from_numpy(x) for name, x in state["env"].items()}
-            self._env.set_state(arrays)
         with self._own_draws():
-            # The environment goes on from its state; the collector reads where that is.
-            self._collector.reset()
+            self._collector.load_state_dict(_tensors(state["collector"]))
             torch.set_rng_state(torch.from_numpy(state["generator"]))
 
     def close(self) -> None:
@@ -201,11 +192,11 @@ def _weights(policy: TensorDictModuleBase) -> list[torch.Tensor]:
     return [*policy.parameters(), *policy.buffers()]
 
 
-def _arrays(batch: TensorDictBase) -> dict[str, Any]:
-    """Entries as nested arrays: between processes torch sends tensors as open files."""
+def _arrays(entries: Any) -> dict[str, Any]:
+    """Tensors as nested arrays: between processes torch sends tensors as open files."""
     return {
-        str(name): _arrays(x) if isinstance(x, TensorDictBase) else x.numpy()
-        for name, x in batch.items()
+        str(name): x.numpy() if isinstance(x, torch.Tensor) else _arrays(x)
+        for name, x in entries.items()
     }
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import set_exploration_type
 
 from gdrl_torchrl import keys
+from gdrl_torchrl.agents.collectors.collects import EnvCollector
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.envs.record import StepRecord
 from gdrl_torchrl.fast.policy import TracedPolicy
@@ -33,7 +33,7 @@ def make_collector(
     *,
     frames_per_batch: int,
     policy_keys: Sequence[str],
-) -> Collector:
+) -> EnvCollector:
     """Make the fastest collector for an environment.
 
     Args:
@@ -43,7 +43,7 @@ def make_collector(
         frames_per_batch: Environment steps of a batch, over all worlds.
         policy_keys: Outputs of the policy, beside the action, that batches must hold.
     """
-    kind: Any = Collector
+    kind: Any = EnvCollector
     options: dict[str, Any] = {}
     if isinstance(env, NavigationEnv) and list(policy.in_keys) == [keys.OBSERVATION]:
         kind, options = NavigationCollector, {"policy_keys": policy_keys}
@@ -57,7 +57,7 @@ def make_collector(
     )
 
 
-class NavigationCollector(Collector):
+class NavigationCollector(EnvCollector):
     """TorchRL's collector for a :class:`NavigationEnv`, with no tensordict per step.
 
     Its batches ``[W, T]`` hold the same numbers, with those outputs of the policy that
@@ -111,7 +111,7 @@ class NavigationCollector(Collector):
     @torch.no_grad()
     def rollout(self) -> TensorDictBase:
         """Collect the next batch ``[W, T]``."""
-        env: Any = self.env
+        env = self.env
         simulation = env.simulation
         worlds, steps = simulation.num_worlds, self.frames_per_batch
         before, after = (StepRecord(simulation, steps) for _ in range(2))

@@ -11,7 +11,6 @@ from torchrl.data import Bounded, Categorical
 from gdrl_tasks import NavigationTask
 from gdrl_torchrl.agents.base import ACTIVATIONS, Agent
 from gdrl_torchrl.agents.ga.settings import GAConfig
-from gdrl_torchrl.agents.loop import GenerationLoop
 from gdrl_torchrl.agents.networks import make_argmax_actor, make_tanh_normal_actor
 from gdrl_torchrl.agents.settings import NetworkConfig
 
@@ -34,5 +33,5 @@ def make_ga_actor(
 def make_ga_agent(
     task: NavigationTask, network: NetworkConfig, settings: GAConfig, **others: Any
 ) -> Agent:
-    """A policy to hold the result, and the loop; it needs nothing else."""
-    return Agent(make_ga_actor(task, network, settings), GenerationLoop())
+    """A policy to hold the result; it needs nothing else."""
+    return Agent(make_ga_actor(task, network, settings))

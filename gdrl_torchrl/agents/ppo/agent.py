@@ -1,9 +1,8 @@
-"""The PPO agent of a run."""
+"""The PPO agent: what collects, and what learns."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import torch
@@ -12,22 +11,15 @@ from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
-from torchrl.trainers import Trainer
-from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
-from gdrl_torchrl.agents.base import (
-    ACTIVATIONS,
-    NO_FRAME_LIMIT,
-    Agent,
-    MakeEnv,
-)
+from gdrl_torchrl.agents.base import ACTIVATIONS, Agent, MakeEnv
 from gdrl_torchrl.agents.collectors.navigation import make_collector
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.agents.ppo.loss import make_ppo_loss
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.settings import NetworkConfig, check_actions
-from gdrl_torchrl.agents.update import NOTHING, Update
+from gdrl_torchrl.agents.update import Update
 
 _ENTROPY_OF_UNIT_NORMAL = 0.5 * math.log(2.0 * math.pi * math.e)
 
@@ -51,12 +43,12 @@ def make_ppo_actor(
     )
 
 
-class PPOLearner(OptimizationStepper):
+class PPOLearner:
     """Estimates advantages in every epoch, and makes one update per minibatch.
 
     As TorchRL's ``PPOTrainer`` does; but that puts the whole batch into a replay buffer in
-    every epoch, with all that nobody reads. Advantages of the critic as it was before the
-    first epoch are cheaper, and two of five seeds then learnt to cross waves late or never.
+    every epoch, with all that nobody reads. Advantages of the critic before the first
+    epoch are cheaper, and two of five seeds then learnt to cross waves late or never.
 
     Args:
         loss: The loss.
@@ -93,26 +85,27 @@ class PPOLearner(OptimizationStepper):
             noted=["entropy"],
             on_non_finite=on_non_finite,
         )
+        self.updates = [self.update]
         self.num_epochs = config.num_epochs
-        self._epoch = 0
-        self._minibatches: list[Any] = []
 
-    def register(self, trainer: Trainer, name: str = "ppo_learner") -> None:
-        """Register with a trainer: what begins an epoch, and its minibatches."""
-        super().register(trainer, name)
-        trainer.register_op("pre_epoch", self.begin_epoch)
-        trainer.register_op("process_optim_batch", self.draw)
+    def learn(self, batch: TensorDictBase) -> None:
+        """Make the updates of all epochs of a batch ``[W, T]``.
 
-    def begin_epoch(self, batch: TensorDictBase) -> TensorDictBase:
-        """Add advantages to a batch ``[W, T]``, and draw an order of its rows."""
-        batch = self.advantage(batch)
-        rows = batch.select(*self._keys).reshape(-1)
+        Raises:
+            NonFiniteUpdateError: If something in one is not finite.
+        """
+        self._note_entropy(batch)
+        for epoch in range(self.num_epochs):
+            # Of the last epoch: how far the policy has come from the one that collected.
+            diagnose = epoch == self.num_epochs - 1
+            for minibatch in self.minibatches(batch):
+                self.update(minibatch, diagnose=diagnose)
+
+    def minibatches(self, batch: TensorDictBase) -> tuple[TensorDictBase, ...]:
+        """Those of an epoch: rows in a new order, with new advantages."""
+        rows = self.advantage(batch).select(*self._keys).reshape(-1)
         order = torch.randperm(len(rows), generator=self.generator)
-        self._minibatches = list(rows[order].split(self.minibatch_size))
-        self._epoch = self._epoch % self.num_epochs + 1
-        if self._epoch == 1:
-            self._note_entropy(batch)
-        return batch
+        return rows[order].split(self.minibatch_size)
 
     @torch.no_grad()
     def _note_entropy(self, batch: TensorDictBase) -> None:
@@ -124,26 +117,6 @@ class PPOLearner(OptimizationStepper):
         logarithms = batch["scale"].log().sum(-1).mean()
         offset = _ENTROPY_OF_UNIT_NORMAL * batch["scale"].shape[-1]
         self.update.means.add([("entropy", logarithms + offset)])
-
-    def draw(self, batch: TensorDictBase) -> TensorDictBase:
-        """The next minibatch of the epoch.
-
-        Raises:
-            StopIteration: At its end, for a trainer to begin the next one.
-        """
-        if not self._minibatches:
-            raise StopIteration
-        return self._minibatches.pop(0)
-
-    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """One update, whose numbers are in the means of ``update``.
-
-        Raises:
-            NonFiniteUpdateError: If something in it is not finite.
-        """
-        # Of the last epoch: how far the policy has come from the one that collected.
-        self.update(sub_batch, diagnose=self._epoch == self.num_epochs)
-        return NOTHING
 
     def state_dict(self) -> dict[str, Any]:
         """Generator of the order, and a counter."""
@@ -167,7 +140,7 @@ def make_ppo_agent(
     seed: int = 0,
     on_non_finite: str = "stop",
 ) -> Agent:
-    """Build the agent, its environment and its trainer.
+    """Build the agent, with its worlds.
 
     Args:
         task: The task.
@@ -206,29 +179,11 @@ def make_ppo_agent(
         seed=seed,
         on_non_finite=on_non_finite,
     )
-    with warnings.catch_warnings():
-        # TorchRL calls its trainers prototypes.
-        warnings.simplefilter("ignore")
-        trainer = Trainer(
-            collector=collector,
-            total_frames=NO_FRAME_LIMIT,
-            frame_skip=1,
-            optim_steps_per_batch=None,  # pyright: ignore[reportArgumentType]
-            num_epochs=settings.num_epochs,
-            loss_module=loss,
-            optimizer=optimizer,
-            optimization_stepper=learner,
-            auto_log_optim_steps=False,
-            progress_bar=False,
-        )
     return Agent(
         actor,
-        trainer,
-        env=env,
+        learner,
+        collector,
         loss=loss,
         optimizer=optimizer,
-        collector=collector,
-        parts={"learner": learner},
-        updates=[learner.update],
         critic=critic,
     )

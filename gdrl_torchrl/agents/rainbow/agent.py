@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import Collector
 from torchrl.data import Categorical, TensorDictReplayBuffer
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
-from torchrl.trainers import Trainer
-from torchrl.trainers.trainers import OptimizationStepper
 
 from gdrl_tasks import NavigationTask
 from gdrl_tasks.processors import allowed_processors
 from gdrl_torchrl import keys
-from gdrl_torchrl.agents.base import (
-    ACTIVATIONS,
-    NO_FRAME_LIMIT,
-    Agent,
-    MakeEnv,
-)
+from gdrl_torchrl.agents.base import ACTIVATIONS, Agent, MakeEnv
 from gdrl_torchrl.agents.collectors.ahead import AheadCollector
+from gdrl_torchrl.agents.collectors.collects import Collects, EnvCollector
 from gdrl_torchrl.agents.collectors.navigation import make_collector
 from gdrl_torchrl.agents.rainbow.loss import (
     RainbowLoss,
@@ -35,16 +27,15 @@ from gdrl_torchrl.agents.rainbow.loss import (
 from gdrl_torchrl.agents.rainbow.n_step import NStep
 from gdrl_torchrl.agents.rainbow.network import make_q_actor
 from gdrl_torchrl.agents.rainbow.replay import (
-    buffer_state,
     draw_minibatch,
-    load_buffer_state,
     make_prioritized_buffer,
     note_errors,
-    share_experience,
 )
+from gdrl_torchrl.agents.rainbow.replay_state import buffer_state, load_buffer_state
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
+from gdrl_torchrl.agents.rainbow.shared_experience import share_experience
 from gdrl_torchrl.agents.settings import NetworkConfig, check_actions
-from gdrl_torchrl.agents.update import NOTHING, Update
+from gdrl_torchrl.agents.update import Update
 
 _OTHER_DRAWS = 1 << 41
 """Added to a run's seed for what acts ahead, beside what learns."""
@@ -71,12 +62,11 @@ def make_rainbow_actor(
     )
 
 
-class RainbowLearner(OptimizationStepper):
-    """Feeds the replay buffer, and makes one update per minibatch.
+class RainbowLearner:
+    """Feeds the replay buffer, and makes a few updates per batch.
 
-    As a stepper it does what a trainer's separate hooks would do in the wrong order or
-    not at all: loss, gradient, target network, noise, priorities and the annealing of
-    beta.
+    An update is loss, gradient, target network, noise, priorities and the annealing of
+    beta, in this order.
 
     Args:
         loss: The loss, with its target network.
@@ -115,55 +105,51 @@ class RainbowLearner(OptimizationStepper):
             noted=["priority_mean", "priority_max"],
             on_non_finite=on_non_finite,
         )
-        self._is_first_update = True
+        self.updates = [self.update]
         self._anneal()
 
-    def register(self, trainer: Trainer, name: str = "rainbow_learner") -> None:
-        """Register with a trainer: batches are stored, minibatches drawn."""
-        super().register(trainer, name)
-        trainer.register_op("batch_process", self.store)
-        trainer.register_op("process_optim_batch", self.draw)
+    def learn(self, batch: TensorDictBase) -> None:
+        """Store a batch ``[W, T]``, and once the buffer is warm make updates.
 
-    def store(self, batch: TensorDictBase) -> TensorDictBase:
+        Raises:
+            NonFiniteUpdateError: If something in an update is not finite; it has changed
+                nothing, the priorities included.
+        """
+        self.store(batch)
+        if len(self.buffer) < self.config.warmup_steps:
+            return
+        for number in range(self.config.updates_per_batch):
+            self.step(draw_minibatch(self.buffer), diagnose=number == 0)
+
+    def store(self, batch: TensorDictBase) -> None:
         """Put a batch ``[W, T]`` into the buffer; epsilon decays by ended episode."""
         self.buffer.extend(self.n_step(batch))
         self.num_episodes += int(batch["next", keys.DONE].sum())
-        self._is_first_update = True
         self._anneal()
-        return batch
 
-    def draw(self, batch: TensorDictBase) -> TensorDictBase:
-        """A minibatch.
-
-        Raises:
-            StopIteration: While the buffer warms up; a trainer then goes on collecting.
-        """
-        if len(self.buffer) < self.config.warmup_steps:
-            raise StopIteration
-        return draw_minibatch(self.buffer)
-
-    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+    def step(self, minibatch: TensorDictBase, *, diagnose: bool = False) -> None:
         """One update, whose numbers are in the means of ``update``.
 
+        Args:
+            minibatch: Drawn from the buffer.
+            diagnose: As of :class:`~gdrl_torchrl.agents.update.Update`.
+
         Raises:
-            NonFiniteUpdateError: If something in it is not finite; nothing has changed,
-                the priorities included.
+            NonFiniteUpdateError: As of :meth:`learn`.
         """
         resample_noise(self.loss)
-        diagnose, self._is_first_update = self._is_first_update, False
-        self.update(sub_batch, diagnose=diagnose)
+        self.update(minibatch, diagnose=diagnose)
         if self.update.skipped:
-            return NOTHING
+            return
         torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
-        note_errors(self.buffer, sub_batch)
+        note_errors(self.buffer, minibatch)
         if diagnose:
-            error = sub_batch[self.loss.tensor_keys.priority]
+            error = minibatch[self.loss.tensor_keys.priority]
             self.update.means.add(
                 [("priority_mean", error.mean()), ("priority_max", error.max())]
             )
         self.num_updates += 1
         self._anneal()
-        return NOTHING
 
     def share(self, transitions: TensorDictBase, share: float) -> int:
         """Take a share of whole episodes ``[T]`` of other policies into the buffer."""
@@ -210,7 +196,7 @@ def make_rainbow_agent(
     seed: int = 0,
     on_non_finite: str = "stop",
 ) -> Agent:
-    """Build the agent, its environment and its trainer.
+    """Build the agent, with its worlds.
 
     Args:
         task: The task.
@@ -246,7 +232,6 @@ def make_rainbow_agent(
         )
         modules: list[Any] = [actor, exploration]
         policy = TensorDictSequential(*modules)
-    collector: Any = _make_collector(task, policy, settings, make_env, seed)
     learner = RainbowLearner(
         loss,
         optimizer,
@@ -256,32 +241,12 @@ def make_rainbow_agent(
         exploration=exploration,
         on_non_finite=on_non_finite,
     )
-    with warnings.catch_warnings():
-        # TorchRL calls its trainers prototypes.
-        warnings.simplefilter("ignore")
-        trainer = Trainer(
-            collector=collector,
-            total_frames=NO_FRAME_LIMIT,
-            frame_skip=1,
-            optim_steps_per_batch=settings.updates_per_batch,
-            loss_module=loss,
-            optimizer=optimizer,
-            optimization_stepper=learner,
-            auto_log_optim_steps=False,
-            progress_bar=False,
-        )
-    parts: dict[str, Any] = {"learner": learner}
-    if settings.collect_ahead:
-        parts["collector"] = collector
     return Agent(
         actor,
-        trainer,
-        env=None if settings.collect_ahead else collector.env,
+        learner,
+        _make_collector(task, policy, settings, make_env, seed),
         loss=loss,
         optimizer=optimizer,
-        collector=collector,
-        parts=parts,
-        updates=[learner.update],
         follow_switch=functools.partial(soft_update_target, loss),
         share_experience=learner.share,
     )
@@ -293,8 +258,8 @@ def _make_collector(
     settings: RainbowConfig,
     make_env: MakeEnv,
     seed: int,
-) -> Collector | AheadCollector:
-    def make() -> Collector:
+) -> Collects:
+    def make() -> EnvCollector:
         return make_collector(
             make_env(settings.num_worlds),
             policy,

@@ -1,17 +1,13 @@
-"""Prioritised replay, shared by an agent and populations."""
+"""Prioritised replay: its buffer, its minibatches and their priorities."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.data import LazyTensorStorage, PrioritizedSampler, TensorDictReplayBuffer
 from torchrl.data.replay_buffers import Storage
-
-STALE = ("td_error", "index", "priority_weight")
-"""Entries that a buffer and a loss write into samples; new items must not have them."""
 
 
 class BatchWeightSampler(PrioritizedSampler):
@@ -67,6 +63,7 @@ def make_prioritized_buffer(
         OSError: If there is no shared memory, in which TorchRL keeps a buffer's counters.
 
     Examples:
+        >>> from tensordict import TensorDict
         >>> buffer = make_prioritized_buffer(
         ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
         ... )
@@ -114,6 +111,7 @@ def draw_minibatch(buffer: TensorDictReplayBuffer) -> TensorDictBase:
         RuntimeError: If the buffer is empty.
 
     Examples:
+        >>> from tensordict import TensorDict
         >>> buffer = make_prioritized_buffer(
         ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
         ... )
@@ -136,6 +134,7 @@ def note_errors(buffer: TensorDictReplayBuffer, minibatch: TensorDictBase) -> No
     The same as ``buffer.update_tensordict_priority``, for a minibatch of the buffer.
 
     Examples:
+        >>> from tensordict import TensorDict
         >>> buffer = make_prioritized_buffer(
         ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
         ... )
@@ -145,177 +144,3 @@ def note_errors(buffer: TensorDictReplayBuffer, minibatch: TensorDictBase) -> No
     """
     sampler: Any = buffer.sampler
     sampler.update_priority(minibatch.get("index"), minibatch.get("td_error").squeeze(-1))
-
-
-def random_share(
-    transitions: TensorDictBase,
-    share: float,
-    generator: torch.Generator,
-    *,
-    at_most: int | None = None,
-) -> TensorDictBase:
-    """Choose a random share of transitions ``[N]``, without replacement.
-
-    Args:
-        transitions: Transitions ``[N]``.
-        share: Share to keep: ``round(share * N)`` transitions.
-        generator: Source of randomness.
-        at_most: Most transitions to keep.
-
-    Returns:
-        Copies ``[K]``, in their old order.
-
-    Raises:
-        ValueError: If the share is outside ``[0, 1]``.
-
-    Examples:
-        >>> rows = TensorDict(number=torch.arange(10), batch_size=[10])
-        >>> random_share(rows, 0.3, torch.Generator().manual_seed(0)).batch_size
-        torch.Size([3])
-    """
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"share must be in [0, 1]: {share}")
-    total = transitions.batch_size[0]
-    count = round(share * total) if at_most is None else min(round(share * total), at_most)
-    order = torch.randperm(total, generator=generator)
-    return transitions[order[:count].sort().values]
-
-
-def share_experience(
-    buffer: TensorDictReplayBuffer,
-    transitions: TensorDictBase,
-    n_step: Callable[[TensorDictBase], TensorDictBase],
-    share: float,
-    generator: torch.Generator,
-) -> int:
-    """Put a random share of other policies' transitions into a buffer.
-
-    Windows over several steps are made from whole episodes before the share is drawn;
-    drawing first would join steps that did not follow each other. All transitions that
-    enter get the largest priority that any item has had so far. If the share exceeds the
-    buffer's capacity, a random part as large as the capacity enters.
-
-    Args:
-        buffer: A buffer of :func:`make_prioritized_buffer`.
-        transitions: Whole episodes ``[T]`` or ``[W, T]``. Not modified.
-        n_step: An :class:`~gdrl_torchrl.agents.rainbow.n_step.NStep`.
-        share: Share of the transitions that enters.
-        generator: Source of randomness.
-
-    Returns:
-        How many transitions entered.
-
-    Raises:
-        ValueError: If the share is outside ``[0, 1]``.
-
-    Examples:
-        >>> from gdrl_torchrl.agents.rainbow.n_step import NStep
-        >>> buffer = make_prioritized_buffer(
-        ...     100, alpha=0.5, beta=0.4, batch_size=4, seed=0
-        ... )
-        >>> ends = torch.tensor([False, True, False, True]).unsqueeze(-1)
-        >>> episodes = TensorDict(
-        ...     observation=torch.zeros(4, 3),
-        ...     action=torch.zeros(4, dtype=torch.long),
-        ...     next=TensorDict(
-        ...         observation=torch.zeros(4, 3),
-        ...         reward=torch.ones(4, 1),
-        ...         terminated=ends,
-        ...         done=ends,
-        ...     ),
-        ...     batch_size=[4],
-        ... )
-        >>> generator = torch.Generator().manual_seed(0)
-        >>> share_experience(buffer, episodes, NStep(0.99, 3), 0.5, generator)
-        2
-    """
-    windows = n_step(transitions).exclude(*STALE)
-    # With more items than its capacity a buffer would write several to one place.
-    sampler: Any = buffer.sampler
-    chosen = random_share(windows, share, generator, at_most=sampler.max_size)
-    count = chosen.batch_size[0]
-    if count:  # extending by nothing is an error
-        buffer.extend(chosen)
-    return count
-
-
-def buffer_state(buffer: TensorDictReplayBuffer) -> dict[str, Any]:
-    """Copy all that a buffer's draws depend on: items, priorities, cursor, randomness.
-
-    The buffer's own ``state_dict`` has the segment trees as C++ objects, which only
-    pickle can write, and the unused part of the storage.
-
-    Args:
-        buffer: A buffer of :func:`make_prioritized_buffer`.
-
-    Returns:
-        Nested dicts of tensors and plain values.
-
-    Examples:
-        >>> options = {"alpha": 0.5, "beta": 0.4, "batch_size": 4}
-        >>> buffer = make_prioritized_buffer(100, seed=0, **options)
-        >>> _ = buffer.extend(TensorDict(observation=torch.rand(9, 3), batch_size=[9]))
-        >>> other = make_prioritized_buffer(100, seed=1, **options)
-        >>> load_buffer_state(other, buffer_state(buffer))
-        >>> bool((buffer.sample() == other.sample()).all())
-        True
-    """
-    sampler: Any = buffer.sampler
-    count = len(buffer)
-    items = buffer.storage[:count].clone() if count else TensorDict()
-    rows = torch.arange(count)
-    return {
-        "items": items.to_dict(),
-        "count": count,
-        "priorities": torch.as_tensor(sampler._sum_tree[rows]) if count else None,
-        # A value and an index, or None and None.
-        "max_priority": [_plain(value) for value in sampler._max_priority],
-        "alpha": sampler.alpha,
-        "beta": sampler.beta,
-        "capacity": sampler.max_size,
-        "writer": dict(buffer.writer.state_dict()),
-        "generator": _generator(buffer).get_state(),
-    }
-
-
-def load_buffer_state(buffer: TensorDictReplayBuffer, state: Mapping[str, Any]) -> None:
-    """Return a buffer to a state of :func:`buffer_state`.
-
-    Args:
-        buffer: A buffer with the same capacity and exponent ``alpha``; its items are
-            replaced.
-        state: The state.
-
-    Raises:
-        ValueError: If capacity or ``alpha`` differ.
-    """
-    sampler: Any = buffer.sampler
-    own = {"capacity": sampler.max_size, "alpha": sampler.alpha}
-    for name, value in own.items():
-        if state[name] != value:
-            raise ValueError(f"{name} is {value}, that of the state {state[name]}")
-    buffer.empty()
-    count = state["count"]
-    if count:
-        items = TensorDict(state["items"], batch_size=[count])
-        # Not through the writer, which would count these items as new ones.
-        rows: Any = torch.arange(count)
-        buffer.storage.set(rows, items)
-        # The leaves determine the trees: every node is recomputed from its children.
-        sampler._sum_tree[rows] = state["priorities"]
-        sampler._min_tree[rows] = state["priorities"]
-    buffer.writer.load_state_dict(dict(state["writer"]))
-    sampler._max_priority = tuple(state["max_priority"])
-    sampler.beta = state["beta"]
-    _generator(buffer).set_state(state["generator"].to(torch.uint8))
-
-
-def _generator(buffer: TensorDictReplayBuffer) -> torch.Generator:
-    generator: Any = buffer._rng
-    if generator is None:
-        raise ValueError("the buffer has no generator: make it by make_prioritized_buffer")
-    return generator
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, torch.Tensor) else value

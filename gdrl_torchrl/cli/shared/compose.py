@@ -15,10 +15,10 @@ from hydra.version import VersionBase
 from omegaconf import DictConfig, OmegaConf
 
 from gdrl_tasks import task_names
+from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.cli.shared.errors import check_known, explained
 from gdrl_torchrl.cli.shared.names import CONFIG_MODULE
 from gdrl_torchrl.config import schema
-from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.config.toy import as_toy

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gdrl_tasks import task_names, task_options
+from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
 from gdrl_torchrl.cli.shared.names import names_in, sentence_of
 from gdrl_torchrl.config import schema
-from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.sentences import options_of
 from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
 

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.checks import check_choice
 from gdrl_torchrl.cli.shared.compose import check_plain
-from gdrl_torchrl.config.algorithms import algorithm_configs
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.files.fields import OBJECT, TEXT

@@ -11,9 +11,10 @@ from torchrl.envs import EnvBase
 from torchrl.trainers.trainers import TrainerHookBase
 
 from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation
+from gdrl_torchrl.evolution.hooks.breeding import breeding_of
+from gdrl_torchrl.evolution.hooks.contest import contest_of
 from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
-from gdrl_torchrl.evolution.hooks.hand_over import move_target
-from gdrl_torchrl.evolution.hooks.parts import breeding_of, contest_of, hand_over_of
+from gdrl_torchrl.evolution.hooks.hand_over import hand_over_of, move_target
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.evolution.settings import EvolutionConfig

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
 from gdrl_torchrl import keys
-from gdrl_torchrl.evolution.operators.crossover import no_crossover
+from gdrl_torchrl.evolution.operators.crossover import crossovers, no_crossover
 from gdrl_torchrl.evolution.operators.genome import stack_copies
-from gdrl_torchrl.evolution.operators.mutation import bernoulli_mutation
+from gdrl_torchrl.evolution.operators.mutation import (
+    bernoulli_mutation,
+    mutations,
+    standard_deviation,
+)
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
-from gdrl_torchrl.evolution.operators.sensitivity import dampen
+from gdrl_torchrl.evolution.operators.sensitivity import dampen, output_sensitivity
+from gdrl_torchrl.evolution.population.outputs import outputs_of
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 Mutation = Callable[..., TensorDictBase]
 Sensitivity = Callable[[TensorDictBase, torch.Tensor], TensorDictBase]
@@ -151,3 +159,20 @@ class MutatedChildren:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         self._observations = state_dict["observations"]
+
+
+def breeding_of(settings: EvolutionConfig, actor: TensorDictModuleBase) -> MutatedChildren:
+    """What makes the children of an actor that settings ask for."""
+    sensitivity = None
+    if settings.sensitivity:
+        sensitivity = functools.partial(output_sensitivity, outputs_of(actor))
+    return MutatedChildren(
+        settings.num_children,
+        mutation=mutations()[settings.mutation],
+        std=standard_deviation(settings.mut_v, settings.mut_v_is),
+        schedule=MutationSchedule(tuple(settings.rates), tuple(settings.thresholds)),
+        crossover=crossovers()[settings.crossover],
+        num_points=settings.num_points,
+        sensitivity=sensitivity,
+        sensitivity_rows=settings.sensitivity_rows,
+    )

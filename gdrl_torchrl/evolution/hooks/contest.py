@@ -16,6 +16,7 @@ from gdrl_torchrl.evolution.operators.paired import (
 )
 from gdrl_torchrl.evolution.operators.selection import select_best
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 PARENT = 0
 """The agent's copy is the first member of its population."""
@@ -32,18 +33,40 @@ class Verdict:
     """``[T]``, whole episodes one after another, if they were asked for."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Match:
+    """The members of a contest, and what they play with."""
+
+    evaluator: PopulationEvaluator
+    population: TensorDictBase
+    """``[1 + N]``; the first is the agent's copy."""
+    generator: torch.Generator
+    """Source of randomness."""
+    keep_transitions: bool = False
+    """Whether the verdict has the transitions of all episodes."""
+
+    def play(
+        self, members: TensorDictBase, seeds: torch.Tensor | None = None
+    ) -> tuple[TensorDictBase, TensorDictBase | None]:
+        """Scores ``[M]`` of members over episodes ``[S]``, and their transitions."""
+        if self.keep_transitions:
+            return self.evaluator.evaluate_with_transitions(members, seeds=seeds)
+        return self.evaluator.evaluate(members, seeds=seeds), None
+
+    def check_fitness_of_episodes(self) -> None:
+        """Raise ValueError if fitness is a function, which has no value per episode."""
+        fitness = self.evaluator.fitness
+        if fitness not in ("goals", "return"):
+            raise ValueError(
+                f"fitness={fitness!r} must be 'goals' or 'return' for this contest"
+            )
+
+
 class Contest(Protocol):
     """Scores a population and names the member that becomes the agent."""
 
-    def __call__(
-        self,
-        evaluator: PopulationEvaluator,
-        population: TensorDictBase,
-        *,
-        generator: torch.Generator,
-        keep_transitions: bool = False,
-    ) -> Verdict:
-        """Let the members ``[1 + N]`` compete; the first is the agent's copy."""
+    def __call__(self, match: Match) -> Verdict:
+        """Let the members compete."""
         ...
 
 
@@ -60,16 +83,9 @@ class FullContest:
     def __init__(self, tie_rule: str = "return_then_parent") -> None:
         self.tie_rule = tie_rule
 
-    def __call__(
-        self,
-        evaluator: PopulationEvaluator,
-        population: TensorDictBase,
-        *,
-        generator: torch.Generator,
-        keep_transitions: bool = False,
-    ) -> Verdict:
+    def __call__(self, match: Match) -> Verdict:
         """Let the members compete."""
-        scores, transitions = _scored(evaluator, population, None, keep_transitions)
+        scores, transitions = match.play(match.population)
         winner = select_best(scores, parent=PARENT, tie_rule=self.tie_rule)
         return Verdict(scores, winner, transitions)
 
@@ -91,27 +107,20 @@ class PairedContest:
     def __init__(self, plan: HalvingPlan | None = None) -> None:
         self.plan = plan or HalvingPlan()
 
-    def __call__(
-        self,
-        evaluator: PopulationEvaluator,
-        population: TensorDictBase,
-        *,
-        generator: torch.Generator,
-        keep_transitions: bool = False,
-    ) -> Verdict:
+    def __call__(self, match: Match) -> Verdict:
         """Let the members compete.
 
         Raises:
             ValueError: If the evaluator's fitness is a function: a test needs a value
                 per episode.
         """
-        _check_fitness_of_episodes(evaluator)
-        tally = _Tally(evaluator, population, keep_transitions)
-        alive = torch.arange(1, population.batch_size[0])
+        match.check_fitness_of_episodes()
+        tally = _Tally(match)
+        alive = torch.arange(1, match.population.batch_size[0])
         for _, trials in self.plan.rounds(len(alive)):
             tally.play(alive, trials)
             alive = alive[better_half(tally.mean[alive])]
-        winner = self._test(tally, int(alive[0]), generator)
+        winner = self._test(tally, int(alive[0]), match.generator)
         return Verdict(tally.scores(), winner, tally.transitions())
 
     def _test(self, tally: _Tally, child: int, generator: torch.Generator) -> int:
@@ -137,24 +146,17 @@ class CopiesContest:
     stays what it is. What a population costs and shares, without a population.
     """
 
-    def __call__(
-        self,
-        evaluator: PopulationEvaluator,
-        population: TensorDictBase,
-        *,
-        generator: torch.Generator,
-        keep_transitions: bool = False,
-    ) -> Verdict:
+    def __call__(self, match: Match) -> Verdict:
         """Let the agent play, whatever the other members are.
 
         Raises:
             ValueError: If the evaluator's fitness is a function.
         """
-        _check_fitness_of_episodes(evaluator)
-        count, trials = population.batch_size[0], evaluator.num_episodes
+        match.check_fitness_of_episodes()
+        evaluator = match.evaluator
+        count, trials = match.population.batch_size[0], evaluator.num_episodes
         seeds = evaluator.fresh_seeds(count * trials)
-        alone = population[PARENT : PARENT + 1]
-        scores, transitions = _scored(evaluator, alone, seeds, keep_transitions)
+        scores, transitions = match.play(match.population[PARENT : PARENT + 1], seeds)
         successes, returns, steps = (
             scores[key].reshape(count, trials)
             for key in (keys.SUCCESSES, keys.RETURNS, keys.STEPS)
@@ -173,11 +175,9 @@ class CopiesContest:
 class _Tally:
     """Episodes of members that play different numbers of them."""
 
-    def __init__(
-        self, evaluator: PopulationEvaluator, population: TensorDictBase, keep: bool
-    ) -> None:
-        count = population.batch_size[0]
-        self.evaluator, self.population, self.keep = evaluator, population, keep
+    def __init__(self, match: Match) -> None:
+        count = match.population.batch_size[0]
+        self.match, self.evaluator = match, match.evaluator
         self.episodes = torch.zeros(count)
         self.total = torch.zeros(count)
         self.successes = torch.zeros(count)
@@ -188,8 +188,7 @@ class _Tally:
     def play(self, members: torch.Tensor, trials: int) -> torch.Tensor:
         """Values ``[M, trials]`` of members over fresh common episodes."""
         seeds = self.evaluator.fresh_seeds(trials)
-        part = self.population[members]
-        scores, transitions = _scored(self.evaluator, part, seeds, self.keep)
+        scores, transitions = self.match.play(self.match.population[members], seeds)
         self.log.append(transitions)
         successes, returns = scores[keys.SUCCESSES].float(), scores[keys.RETURNS]
         values = successes if self.evaluator.fitness == "goals" else returns
@@ -218,31 +217,28 @@ class _Tally:
                 keys.RETURN_MEAN: self.returns / self.episodes,
                 keys.FRAMES: self.frames,
             },
-            batch_size=self.population.batch_size,
+            batch_size=self.match.population.batch_size,
         )
 
     def transitions(self) -> TensorDictBase | None:
         """All transitions, if they were kept."""
-        if not self.keep:
+        if not self.match.keep_transitions:
             return None
         whole: Any = TensorDict.cat(self.log)
         return whole
 
 
-def _check_fitness_of_episodes(evaluator: PopulationEvaluator) -> None:
-    """Raise ValueError if fitness is a function, which has no value per episode."""
-    if evaluator.fitness not in ("goals", "return"):
-        raise ValueError(
-            f"fitness={evaluator.fitness!r} must be 'goals' or 'return' for this contest"
+def contest_of(settings: EvolutionConfig) -> Contest:
+    """The contest that settings ask for."""
+    if settings.contest == "full":
+        return FullContest(settings.tie_rule)
+    if settings.contest == "copies":
+        return CopiesContest()
+    return PairedContest(
+        HalvingPlan(
+            screening_trials=settings.screening_trials,
+            test_trials=settings.test_trials,
+            num_looks=settings.num_looks,
+            level=settings.level,
         )
-
-
-def _scored(
-    evaluator: PopulationEvaluator,
-    population: TensorDictBase,
-    seeds: torch.Tensor | None,
-    keep_transitions: bool,
-) -> tuple[TensorDictBase, TensorDictBase | None]:
-    if keep_transitions:
-        return evaluator.evaluate_with_transitions(population, seeds=seeds)
-    return evaluator.evaluate(population, seeds=seeds), None
+    )

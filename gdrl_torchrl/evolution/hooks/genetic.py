@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, PopulationHook
 from gdrl_torchrl.evolution.hooks.breeding import Breeding, MutatedChildren
-from gdrl_torchrl.evolution.hooks.contest import PARENT, Contest, FullContest
+from gdrl_torchrl.evolution.hooks.contest import PARENT, Contest, FullContest, Match
 from gdrl_torchrl.evolution.hooks.hand_over import HandOver
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
@@ -62,12 +62,13 @@ class GeneticHook(PopulationHook):
         genome = genome_of(self.actor)
         brood = self.breeding(genome, self.watch.window.rate, generator=self.generator)
         population = concatenate([stack_copies(genome, 1), brood.genomes])
-        verdict = self.contest(
+        match = Match(
             self.evaluator,
             population,
-            generator=self.generator,
+            self.generator,
             keep_transitions=self.hand_over.share_experience is not None,
         )
+        verdict = self.contest(match)
         evaluation = GeneticEvaluation(
             number=self.counts.evaluations,
             mut_p=brood.mut_p,

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.trainers.trainers import UpdateWeights
 
 from gdrl_torchrl.evolution.operators.crossover import mean_crossover
 from gdrl_torchrl.evolution.operators.genome import install
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 
 class HandOver:
@@ -149,3 +152,45 @@ def update_collector(trainer: Any) -> None:
         operation(**options)
     if not updates:
         trainer.collector.update_policy_weights_()
+
+
+def hand_over_of(
+    settings: EvolutionConfig,
+    actor: TensorDictModuleBase,
+    *,
+    optimizer: torch.optim.Optimizer | None = None,
+    critic: torch.nn.Module | None = None,
+    follow_switch: Callable[[float], object] | None = None,
+    share_experience: Callable[[TensorDictBase], object] | None = None,
+) -> HandOver:
+    """What happens on a switch, as settings ask for it.
+
+    Args:
+        settings: The hook's.
+        actor: The agent's policy.
+        optimizer: Whose moments ``optimizer_on_switch`` is about.
+        critic: What ``critic_on_switch`` is about.
+        follow_switch: Moves target networks a share ``target_tau`` of the way.
+        share_experience: Takes the transitions ``[T]`` of an evaluation.
+
+    Raises:
+        ValueError: If something is to be reset that was not given, or a critic is that
+            has no layers of its own.
+    """
+    on_switch: list[Callable[[], Any]] = []
+    if settings.optimizer_on_switch == "reset":
+        if optimizer is None:
+            raise ValueError("optimizer_on_switch='reset' needs an optimizer")
+        on_switch.append(reset_moments(optimizer, actor))
+    if settings.critic_on_switch == "reset":
+        if critic is None:
+            raise ValueError("critic_on_switch='reset' needs a critic")
+        on_switch.append(reset_critic(critic, actor))
+    if follow_switch is not None:
+        on_switch.append(functools.partial(follow_switch, settings.target_tau))
+    return HandOver(
+        own_share=settings.own_share,
+        on_switch=on_switch,
+        share_experience=share_experience,
+        share_always=settings.share_on == "always",
+    )

@@ -37,6 +37,9 @@ class PopulationEvaluator(Transform):
     An environment without a batch (a stock dm_control or Gymnasium one) is run
     serially: member by member, episode by episode, its seed set before each reset.
 
+    On a replay buffer of genomes each sample is evaluated; what is stored stays as it
+    is, because scores belong to the episodes that they were measured on.
+
     The scores are those of a plain loop over the members. Policies that cannot act as a
     batch act one by one (``docs/extending/policies.md``).
 
@@ -58,10 +61,8 @@ class PopulationEvaluator(Transform):
             time, because the worlds of a batch would differ between members. If seeds
             are given, one episode runs at a time, because a batch has only one seed.
         exploration_type: How the members act.
-        params_key: Where :meth:`forward` finds the population.
         success_key: Flag of the environment that marks success, read at the end of an
             episode.
-        inverse: Whether to evaluate on a replay buffer's ``extend``.
         extra_keys: Further entries of the environment to report ``[P, S]``, as they
             are at the end of an episode.
         trace: Whether the policy may be traced to a graph of tensor operations, which is
@@ -98,9 +99,7 @@ class PopulationEvaluator(Transform):
         seed: int = 0,
         episode_seeding: Literal["auto", "reset", "set_seed", "none"] = "auto",
         exploration_type: Any = ExplorationType.DETERMINISTIC,
-        params_key: NestedKey = keys.PARAMS,
         success_key: NestedKey = keys.SUCCESS,
-        inverse: bool = False,
         extra_keys: tuple[str, ...] = (),
         trace: bool = True,
     ) -> None:
@@ -128,9 +127,7 @@ class PopulationEvaluator(Transform):
         self.episodes_drawn = 0
         self.episode_seeding = episode_seeding
         self.exploration_type = exploration_type
-        self.params_key = params_key
         self.success_key = success_key
-        self.inverse = inverse
         self.extra_keys = tuple(extra_keys)
         self._create_env_fn = create_env_fn
         self.__dict__["_own_env"] = None
@@ -145,20 +142,17 @@ class PopulationEvaluator(Transform):
     ) -> TensorDictBase:
         return tensordict_reset
 
-    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self.forward(tensordict) if self.inverse else tensordict
-
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Evaluate the population under ``params`` and add the scores.
 
         Args:
-            tensordict: ``[P]`` with parameters under ``params_key``. Without them it
+            tensordict: ``[P]`` with parameters under ``params``. Without them it
                 is returned unchanged, as by a replay buffer that holds transitions.
 
         Returns:
             The same tensordict with the entries of :meth:`evaluate`.
         """
-        params = tensordict.get(self.params_key, None)
+        params = tensordict.get(keys.PARAMS, None)
         if params is None:
             return tensordict
         return tensordict.update(self.evaluate(params))

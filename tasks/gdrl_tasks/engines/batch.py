@@ -107,7 +107,7 @@ class BatchSimulation:
             self._make_shard(slice(low, high))
             for low, high in zip(self._bounds[:-1], self._bounds[1:], strict=True)
         ]
-        self._on_divergence: Callable[[DivergedWorld], None] | None = None
+        self._on_divergence: Callable[[DivergedWorld], object] | None = None
         self._memory: StateMemory | None = None
         self._pool: ThreadPoolExecutor | None = None
         if count > 1:
@@ -200,7 +200,7 @@ class BatchSimulation:
         terminated &= ~truncated
         return StepResult(observation, reward, terminated, truncated, outcome)
 
-    def watch(self, on_divergence: Callable[[DivergedWorld], None]) -> None:
+    def watch(self, on_divergence: Callable[[DivergedWorld], object]) -> None:
         """Call a function with every world that diverges, at most once in an episode.
 
         From now on one copy of the state before the last step is kept.
