@@ -61,7 +61,9 @@ def batched_mlp(layers: Iterable[nn.Module], params: TensorDictBase) -> Layer:
         # A product belongs to nobody else, so an activation may overwrite it.
         step = _IN_PLACE.get(type(layer), layer) if is_product else layer
         is_product = own is not None and not own.is_empty()
-        steps.append(batched_linear(*weights_of(own)) if is_product else step)
+        if own is not None and is_product:
+            step = batched_linear(*weights_of(own))
+        steps.append(step)
 
     def run(x: torch.Tensor) -> torch.Tensor:
         for step in steps:
@@ -72,6 +74,6 @@ def batched_mlp(layers: Iterable[nn.Module], params: TensorDictBase) -> Layer:
 
 
 def weights_of(params: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weights ``[P, O, I]`` and biases ``[P, O]`` of a linear layer, or a noisy one's means."""
+    """Weights ``[P, O, I]`` and biases ``[P, O]`` of a layer, means if it is noisy."""
     mean = "_mu" if "weight_mu" in params else ""
     return params[f"weight{mean}"], params[f"bias{mean}"]

@@ -41,9 +41,9 @@ class TanhNormalActor(ProbabilisticActor):
         """
         parts: Any = self.module
         (layers, _), head = parts[0].module, parts[1]
-        of_layers, of_scale = (params["module", "0", "module", name] for name in "01")
-        locations = batched_mlp(layers, of_layers)
-        scale = of_scale["state_independent_scale"].exp()
+        own: Any = params["module", "0", "module"]
+        locations = batched_mlp(layers, own["0"])
+        scale = own["1", "state_independent_scale"].exp()
         if not scale.isfinite().all():
             return None
         bounds = head.distribution_kwargs

@@ -179,7 +179,7 @@ class _DuelingNetwork(nn.Module):
     def prepared(self, params: TensorDictBase) -> Callable[[torch.Tensor], torch.Tensor]:
         """Make ``observations [P, K, D] -> logits [P, K, A, Z]`` of members ``[P]``."""
         features = batched_mlp(self.features, params["features"])
-        streams = [params["advantage"], params["value"]]
+        streams: list[Any] = [params["advantage"], params["value"]]
         hidden: Any = None
         if len(self.value) > 1:
             first = zip(*(weights_of(stream["0"]) for stream in streams), strict=True)

@@ -15,7 +15,7 @@ from gdrl_torchrl.fast.graph import Tensors
 
 _logger = logging.getLogger(__name__)
 
-Run = Callable[..., Tensors | tuple[torch.Tensor, ...]]
+Run = Callable[..., tuple[torch.Tensor, ...]]
 """Inputs ``[P, S, ...]``, one by one, to actions ``[P, S, ...]`` and numbers that are all
 finite if what the members' networks wrote is: outputs, or sums of them."""
 
