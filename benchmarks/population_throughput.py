@@ -34,6 +34,7 @@ from torchrl.envs.utils import step_mdp
 
 from benchmarks.common import finish, measure, ratio, show
 from gdrl_tasks import load, make_task, task_names
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.agents.registry import make_actor
@@ -66,7 +67,7 @@ def evaluator_and_engine(name: str, threads: int, repeats: int) -> list[list[flo
     actor, population = make_population(name)
     evaluator = PopulationEvaluator(actor, num_episodes=EPISODES, create_env_fn=lambda: env)
     whole = Batch(mujoco.MjModel.from_xml_string(task.xml()), worlds, threads)
-    batch = Batch(task.engine_model(), worlds, threads)
+    batch = Batch(without_scenery(task.xml()), worlds, threads)
 
     def evaluate() -> int:
         return int(evaluator.evaluate(population)["frames"].sum())

@@ -8,7 +8,6 @@ laid out like ours); tasks are in ``gdrl.tasks``, see :mod:`gdrl_tasks.registry`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 from gdrl_tasks.plugins import Offers, offers_of
@@ -39,6 +38,6 @@ def with_plugins(
 
 def conf_packages() -> list[str]:
     """Packages of other distributions with configuration files, in order of name."""
-    working = offers_of("gdrl.conf")
-    entries = entry_points(group="gdrl.conf")
-    return sorted(entry.value for entry in entries if entry.name in working)
+    # Only a package has a path in which files can be looked for.
+    offers = offers_of("gdrl.conf", needs=("__path__",))
+    return sorted(package.__name__ for package in offers.values())

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import nn
 from torchrl.data import Bounded, Categorical
@@ -17,6 +20,60 @@ from torchrl.modules import (
 )
 
 from gdrl_torchrl import keys
+from gdrl_torchrl.agents.batched import batched_mlp
+
+Greedy = Callable[[torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
+"""Observations ``[P, K, D]`` of members to their greedy actions ``[P, K, ...]`` and the
+outputs of their networks that these are chosen by ``[P, K, ...]``."""
+
+_LARGEST_TANH = 1.0 - torch.finfo(torch.float32).resolution
+"""As TorchRL's ``TanhNormal`` has it, so that actions have a finite inverse."""
+
+
+class TanhNormalActor(ProbabilisticActor):
+    """A squashed Gaussian policy of an ``MLP``, many members of which act as one batch."""
+
+    def prepared(self, params: TensorDictBase) -> Greedy | None:
+        """Make the greedy policy of members with parameters ``[P]``, nested by name.
+
+        Returns:
+            None if a scale is not a number, which none of what it would give could tell.
+        """
+        parts: Any = self.module
+        (layers, _), head = parts[0].module, parts[1]
+        own: Any = params["module", "0", "module"]
+        locations = batched_mlp(layers, own["0"])
+        scale = own["1", "state_independent_scale"].exp()
+        if not scale.isfinite().all():
+            return None
+        bounds = head.distribution_kwargs
+        low, high = (torch.as_tensor(bounds[name]) for name in ("low", "high"))
+        center, reach = (high + low) / 2, (high - low) / 2
+        is_scaled = bool((center != 0).any() or (reach != 1).any())
+
+        def act(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            loc = locations(observation)
+            action = torch.tanh(loc).clamp_(-_LARGEST_TANH, _LARGEST_TANH)
+            return center + reach * action if is_scaled else action, loc
+
+        return act
+
+
+class ArgmaxActor(QValueActor):
+    """A policy of the largest output, many members of which act as one batch."""
+
+    def prepared(self, params: TensorDictBase) -> Greedy:
+        """Make the policy of members with parameters ``[P]``, nested by name."""
+        parts: Any = self.module
+        head = parts[1]
+        values_of = batched_mlp(parts[0].module, params["module", "0", "module"])
+        choose = head.action_func_mapping[head.action_space]
+
+        def act(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            values = values_of(observation)
+            return choose(values), values
+
+        return act
 
 
 def make_tanh_normal_actor(
@@ -26,7 +83,7 @@ def make_tanh_normal_actor(
     num_cells: tuple[int, ...] = (32, 32),
     activation: type[nn.Module] = nn.Tanh,
     initial_std: float = 1.0,
-) -> ProbabilisticActor:
+) -> TanhNormalActor:
     """Make a squashed Gaussian policy with a state-independent standard deviation.
 
     Args:
@@ -60,7 +117,7 @@ def make_tanh_normal_actor(
     )
     with torch.no_grad():
         scale.state_independent_scale.fill_(math.log(initial_std))
-    return ProbabilisticActor(
+    return TanhNormalActor(
         TensorDictModule(network, in_keys=[keys.OBSERVATION], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         spec=action_spec,
@@ -126,7 +183,7 @@ def make_argmax_actor(
     *,
     num_cells: tuple[int, ...] = (64, 64),
     activation: type[nn.Module] = nn.ReLU,
-) -> QValueActor:
+) -> ArgmaxActor:
     """Make a policy that takes the action with the largest output.
 
     Args:
@@ -151,4 +208,4 @@ def make_argmax_actor(
         num_cells=list(num_cells),
         activation_class=activation,
     )
-    return QValueActor(network, in_keys=[keys.OBSERVATION], spec=action_spec)
+    return ArgmaxActor(network, in_keys=[keys.OBSERVATION], spec=action_spec)

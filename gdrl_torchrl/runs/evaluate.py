@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
-from gdrl_tasks.navigation import success_weighted_path_length
+from gdrl_tasks.definition import success_weighted_path_length
 from gdrl_torchrl import keys
 from gdrl_torchrl.config.schema import EvaluationConfig, ExperimentConfig
 from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env

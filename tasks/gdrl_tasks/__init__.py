@@ -8,7 +8,7 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.definition import Outcome
 from gdrl_tasks.registry import (
     RegisteredTask,
     load,
@@ -21,15 +21,16 @@ from gdrl_tasks.seeds import Stream, episode_seeds
 
 if TYPE_CHECKING:
     from gdrl_tasks.engines.batch import BatchSimulation, StepResult
-    from gdrl_tasks.task import Episode, NavigationTask, TaskSpec
+    from gdrl_tasks.spec import Episode, TaskSpec
+    from gdrl_tasks.task import NavigationTask
 
 # Modules that import MuJoCo and numba, which take half a second, are imported on use.
 _LAZY = {
     "BatchSimulation": "gdrl_tasks.engines.batch",
     "StepResult": "gdrl_tasks.engines.batch",
-    "Episode": "gdrl_tasks.task",
+    "Episode": "gdrl_tasks.spec",
     "NavigationTask": "gdrl_tasks.task",
-    "TaskSpec": "gdrl_tasks.task",
+    "TaskSpec": "gdrl_tasks.spec",
 }
 
 __all__ = [

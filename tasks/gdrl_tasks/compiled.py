@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -37,7 +38,15 @@ def compiled(function: _Function) -> _Function:
 
 
 class _Cache(FunctionCache):
-    """Numba's, but a disk that becomes full or goes away does not stop who calculates."""
+    """Numba's, but a disk that becomes full or goes away does not stop who calculates.
+
+    What is kept of a function holds until a file of its folder changes: functions and
+    constants of other files are compiled into it, and Numba looks at its own file alone.
+    """
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file._source_stamp = _stamp(Path(function.__code__.co_filename).parent)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function, if that is possible."""
@@ -53,6 +62,15 @@ class _Cache(FunctionCache):
         except OSError:
             _say_that_nothing_is_kept()
             return None
+
+
+@functools.cache
+def _stamp(folder: Path) -> list[tuple[str, float, int]]:
+    """Names, times and sizes of the modules in a folder."""
+    # Some editors leave links to nothing beside the files that they have open.
+    files = [path for path in sorted(folder.glob("*.py")) if path.is_file()]
+    stats = [path.stat() for path in files]
+    return [(p.name, s.st_mtime, s.st_size) for p, s in zip(files, stats, strict=True)]
 
 
 @functools.cache  # once: there are dozens of functions, and the reasons differ in names

@@ -9,7 +9,7 @@ import numpy as np
 from gdrl_tasks.indoor.free_space import FreeSpace
 from gdrl_tasks.indoor.robot import FOOTPRINT_M
 from gdrl_tasks.indoor.task import IndoorTask
-from gdrl_tasks.task import WorldArrays
+from gdrl_tasks.spec import WorldArrays
 
 _TURN_PER_RADIAN = 2.5
 _AHEAD = 0.4

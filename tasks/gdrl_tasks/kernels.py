@@ -1,7 +1,7 @@
 """The arithmetic of a control step as compiled loops over worlds.
 
-The array functions of :mod:`gdrl_tasks.navigation` are the definition of this
-arithmetic, and tests compare the two. For one world a compiled loop takes a hundredth of
+:mod:`gdrl_tasks.definition` defines this arithmetic in array functions, and tests compare
+the two. For one world a compiled loop takes a hundredth of
 the time of the array functions, which is spent on calling NumPy; for hundreds of worlds
 it takes a tenth. There is no fast-math, so that both backends give the same bits.
 """
@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gdrl_tasks.compiled import compiled
-from gdrl_tasks.navigation import Outcome
+from gdrl_tasks.definition import Outcome
 
 _SUCCESS = int(Outcome.SUCCESS)
 _COLLISION = int(Outcome.COLLISION)

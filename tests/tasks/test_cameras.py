@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gdrl_tasks
-from gdrl_tasks.water.waves import elevation
+from gdrl_tasks.water.definition import elevation
 
 
 @pytest.mark.render

@@ -78,3 +78,24 @@ def test_a_full_disk_does_not_stop_who_calculates(part, monkeypatch, caplog):
     with caplog.at_level(logging.WARNING):
         assert total(np.arange(3.0)) == 3.0
     assert len(caplog.messages) == 1
+
+
+def test_a_function_is_compiled_anew_after_what_it_calls_has_changed(tmp_path):
+    part = "from gdrl_tasks.compiled import compiled\n@compiled\ndef part(x):\n    return x"
+    whole = part.replace("part(x)", "whole(x)").replace("return x", "return part(x)")
+    (tmp_path / "whole.py").write_text(f"from part import part\n{whole}\n")
+    program = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport whole"
+    results = []
+    for change in ("", " + 10.0"):
+        (tmp_path / "part.py").write_text(f"{part}{change}\n")
+        done = subprocess.run(
+            [sys.executable, "-c", f"{program}; print(whole.whole(1.0))"],
+            env={k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
+            | {"PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        results.append(done.stdout or done.stderr)
+    assert results == ["1.0\n", "11.0\n"]
+    assert list(tmp_path.rglob("*whole*.nbi"))

@@ -6,7 +6,7 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome, make_task
-from gdrl_tasks.navigation import decide_outcome
+from gdrl_tasks.definition import decide_outcome
 
 every_task = pytest.mark.parametrize("name", ["water", "indoor"])
 

@@ -1,4 +1,4 @@
-"""The compiled loops of a control step against the array functions that define it."""
+"""The compiled loops of a control step against the definition."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gdrl_tasks import kernels
-from gdrl_tasks.navigation import (
+from gdrl_tasks.definition import (
     Outcome,
     decide_outcome,
     goal_polar,
     segment_distance,
+    step_reward,
 )
 
 TOLERANCE = 1e-12
@@ -68,12 +69,8 @@ def finish_by_arrays(world, limits):
         world["capsized"][ids],
     )
     distance, _ = goal_polar(end, np.zeros(len(ids)), goal)
-    goes_on = outcome == Outcome.RUNNING
-    if truncates:
-        goes_on |= outcome == Outcome.TIMEOUT
-    end_reward = np.where(outcome == Outcome.SUCCESS, 1.0, -1.0)
     progress = weight * (world["distance"][ids] - distance)
-    reward = np.where(goes_on, progress, end_reward)
+    reward = step_reward(outcome, progress, truncates)
     after["position"][ids] = end
     after["distance"][ids] = distance
     after["steps"][ids] = steps

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import gdrl_tasks
 from gdrl_tasks import Outcome
-from gdrl_tasks.task import TaskSpec
+from gdrl_tasks.spec import TaskSpec
 
 
 def spec_with(limit, step_limit):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -17,6 +18,8 @@ from torchrl.modules import (
 )
 
 from gdrl_torchrl import keys
+from gdrl_torchrl.agents.batched import batched_linear, batched_mlp, weights_of
+from gdrl_torchrl.agents.networks import Greedy
 
 
 def make_q_actor(
@@ -30,7 +33,7 @@ def make_q_actor(
     noisy: bool = False,
     noisy_std: float = 0.5,
     spec: TensorSpec | None = None,
-) -> DistributionalQValueActor:
+) -> DuelingActor:
     """Make Rainbow's network: distributional, dueling and, if asked for, noisy.
 
     Categorical values (arXiv 1707.06887), one stream for the state's value and one for
@@ -101,7 +104,7 @@ def make_q_actor(
         activation_class=activation,
         activate_last_layer=True,
     )
-    actor = DistributionalQValueActor(
+    actor = DuelingActor(
         _DuelingNetwork(
             features,
             advantage=MLP(out_features=num_actions * num_atoms, **streams),
@@ -115,6 +118,28 @@ def make_q_actor(
     head: Any = actor.module[-1]
     head.__class__ = _Head
     return actor
+
+
+class DuelingActor(DistributionalQValueActor):
+    """The policy of the best expected value, many members of which act as one batch."""
+
+    def prepared(self, params: TensorDictBase) -> Greedy | None:
+        """Make the greedy policy of members with parameters ``[P]``, nested by name.
+
+        Returns:
+            None if actions are not numbers from 0.
+        """
+        if self.action_space != "categorical":
+            return None
+        parts: Any = self.module
+        logits_of = parts[0].module.prepared(params["module", "0", "module"])
+        support = params["support"][0]
+
+        def act(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            logits = logits_of(observation)
+            return (logits.softmax(-1) @ support).argmax(-1), logits
+
+        return act
 
 
 class _DuelingNetwork(nn.Module):
@@ -146,14 +171,52 @@ class _DuelingNetwork(nn.Module):
             apart, together = hidden.chunk(2, dim=-1)
         advantage: Any = self.advantage[-1]
         value: Any = self.value[-1]
-        # [A, Z, H] and [A, Z], less their means over actions.
-        weight = advantage.weight.unflatten(0, (-1, len(value.bias)))
-        weight = weight - weight.mean(dim=0)
-        bias = advantage.bias.view_as(weight[..., 0])
-        bias = bias - bias.mean(dim=0) + value.bias
-        logits = linear(apart, weight.flatten(0, 1), bias.flatten())
+        weight, bias = _folded(advantage.weight, advantage.bias, value.bias)
+        logits = linear(apart, weight, bias).unflatten(-1, (-1, len(value.bias)))
         shared = linear(together, value.weight).unsqueeze(-2)
-        return (logits.unflatten(-1, bias.shape) + shared).transpose(-1, -2)
+        return (logits + shared).transpose(-1, -2)
+
+    def prepared(self, params: TensorDictBase) -> Callable[[torch.Tensor], torch.Tensor]:
+        """Make ``observations [P, K, D] -> logits [P, K, A, Z]`` of members ``[P]``."""
+        features = batched_mlp(self.features, params["features"])
+        streams: list[Any] = [params["advantage"], params["value"]]
+        hidden: Any = None
+        if len(self.value) > 1:
+            first = zip(*(weights_of(stream["0"]) for stream in streams), strict=True)
+            hidden = batched_linear(*(torch.cat(both, dim=1) for both in first))
+        last = [weights_of(stream[str(len(self.value) - 1)]) for stream in streams]
+        (weight, bias), (shared_weight, shared_bias) = last
+        advantages = batched_linear(*_folded(weight, bias, shared_bias))
+        values = batched_linear(shared_weight)
+        shape = -1, shared_bias.shape[-1]
+
+        def run(observation: torch.Tensor) -> torch.Tensor:
+            apart = together = features(observation)
+            if hidden is not None:
+                apart, together = self.value[1](hidden(apart)).chunk(2, dim=-1)
+            return (
+                advantages(apart).unflatten(-1, shape).add_(values(together).unsqueeze(-2))
+            )
+
+        return run
+
+
+def _folded(
+    weight: torch.Tensor, bias: torch.Tensor, shared: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The last layer of the advantages, less its mean over actions.
+
+    Args:
+        weight: Weights ``[..., A * Z, H]``.
+        bias: Biases ``[..., A * Z]``.
+        shared: Biases of the value's last layer ``[..., Z]``, which are added.
+    """
+    atoms = shared.shape[-1]
+    weight = weight.unflatten(-2, (-1, atoms))
+    weight = weight - weight.mean(dim=-3, keepdim=True)
+    bias = bias.unflatten(-1, (-1, atoms))
+    bias = bias - bias.mean(dim=-2, keepdim=True) + shared.unsqueeze(-2)
+    return weight.flatten(-3, -2), bias.flatten(-2)
 
 
 class _Head(DistributionalQValueModule):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch.func import functional_call
-from torchrl.envs.utils import exploration_type
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 from gdrl_torchrl.evolution.operators.genome import fitting_leaves
 from gdrl_torchrl.evolution.population.member_graphs import MemberGraphs, leaves_of, nested
@@ -20,6 +21,11 @@ from gdrl_torchrl.evolution.population.members import (
     make_members,
     split_actor,
     why_one_by_one,
+)
+from gdrl_torchrl.evolution.population.prepared import (
+    Run,
+    acts_as_its_modules,
+    prepared_run,
 )
 from gdrl_torchrl.fast.graph import Tensors
 from gdrl_torchrl.private_copy import fingerprint, private_copy
@@ -38,7 +44,8 @@ class PopulationActor:
     ``torch.vmap`` refuses work too. The vectorised part is traced once to a graph of
     tensor operations; this saves the time of Python, which is most of the time of small
     networks. The graph is used only if it gives the same numbers, bit for bit, as the
-    vectorised modules on its first inputs; otherwise the modules are run.
+    vectorised modules on its first inputs; otherwise the modules are run. A greedy policy
+    may offer something faster than a graph: :class:`~.prepared.Prepares`.
 
     On its first inputs a batch of members is also compared with members that act alone.
     If the batch acts otherwise (recurrent layers that vmap refuses, batch statistics,
@@ -48,7 +55,7 @@ class PopulationActor:
     Args:
         actor: Any TorchRL actor without lazy layers: a tensordict module, or a
             sequence of them.
-        trace: Whether to trace.
+        trace: Whether to use graphs, or what the policy has prepared, instead of modules.
         action_key: Where the actor writes its action.
 
     Attributes:
@@ -183,14 +190,17 @@ class PopulationActor:
         """
         run = None
         if self._is_vectorised(inputs) and self._may_trace:
-            run = self._graphs.run_of(self._chosen(), inputs, parts, run_all)
+            run = self._prepared(inputs, parts, run_all) or self._graphs.run_of(
+                self._chosen(), inputs, parts, run_all
+            )
         names, size = leaves_of(inputs), inputs.batch_size
+        all_are_finite = torch.ones(size, dtype=torch.bool)
 
         def act(values: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
             if run is not None:
-                action, finite = run(*values)
-                if bool(finite.all()):
-                    return action, finite
+                action, outputs = run(*values)
+                if math.isfinite(outputs.sum().item()):
+                    return action, all_are_finite
             rows = self(nested(names, values, size).reshape(-1))
             return (
                 rows[self.action_key].unflatten(0, size),
@@ -205,10 +215,26 @@ class PopulationActor:
         self._actor = private_copy(self.actor)
         self._prefix, self._heads = split_actor(self._actor)
         self._reasons: dict[Any, Reason] = {}
+        self._may_prepare: dict[Any, bool] = {}
         self._vmapped = torch.vmap(self._call, in_dims=(0, 0), randomness="different")
         self._graphs = MemberGraphs(
             self._vmapped, self._prefix.out_keys, self._heads, self.action_key
         )
+
+    def _prepared(self, inputs: TensorDictBase, parts: int, run_all: Any) -> Run | None:
+        """What the policy has prepared itself, if it may be used for inputs ``[P, S]``."""
+        is_greedy = exploration_type() is ExplorationType.DETERMINISTIC
+        kinds = _kinds(inputs)
+        if not is_greedy or [name for name, *_ in kinds] != self.in_keys or len(kinds) > 1:
+            return None
+        params = self._chosen()
+        if kinds not in self._may_prepare:
+            self._may_prepare[kinds] = acts_as_its_modules(
+                self._actor, self._vmapped, self._heads, params, inputs, self.action_key
+            )
+        if not self._may_prepare[kinds]:
+            return None
+        return prepared_run(self._actor, params, parts=parts, run_all=run_all)
 
     @property
     def _may_trace(self) -> bool:
@@ -222,8 +248,7 @@ class PopulationActor:
 
     def _is_vectorised(self, inputs: TensorDictBase) -> bool:
         """Whether members act as a batch as they would alone, on inputs ``[P, S]``."""
-        kinds = tuple((name, x.shape[2:], x.dtype) for name, x in leaves_of(inputs).items())
-        key = (kinds, exploration_type(), min(inputs.shape[1], 2))
+        key = (_kinds(inputs), exploration_type(), min(inputs.shape[1], 2))
         if key not in self._reasons:
             params = self._chosen()
             reason = why_one_by_one(self._actor, self._vmapped, params, inputs)
@@ -256,3 +281,8 @@ class PopulationActor:
         # Tied weights have one name here; functional_call finds their other names.
         out: Any = functional_call(self._prefix, dict(params.items()), (inputs,))
         return out.select(*self._prefix.out_keys, strict=False)
+
+
+def _kinds(inputs: TensorDictBase) -> tuple[Any, ...]:
+    """Names, shapes and types of what a row of inputs ``[P, S]`` has."""
+    return tuple((name, x.shape[2:], x.dtype) for name, x in leaves_of(inputs).items())

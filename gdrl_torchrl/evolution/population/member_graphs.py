@@ -9,13 +9,14 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import exploration_type
 
+from gdrl_torchrl.evolution.population.prepared import Run, in_parts
 from gdrl_torchrl.fast.graph import Tensors, TracedFunction, trace
 
 
 class _Bound(NamedTuple):
     """A graph with the weights of some members."""
 
-    run: Callable[..., tuple[torch.Tensor, ...]]
+    run: Run
     is_pure: bool
 
 
@@ -58,10 +59,10 @@ class MemberGraphs:
 
     def run_of(
         self, params: TensorDictBase, inputs: TensorDictBase, parts: int, run_all: Any
-    ) -> Callable[..., tuple[torch.Tensor, ...]] | None:
-        """A function that gives actions and whether they are numbers, or None.
+    ) -> Run | None:
+        """A function that gives actions and sums of each row's outputs, or None.
 
-        Arguments as in :meth:`~.population_actor.PopulationActor.bind`.
+        Arguments as in :meth:`~.actor.PopulationActor.bind`.
         """
         length = -(-len(inputs) // parts)
         begins = range(0, len(inputs), length)
@@ -72,19 +73,10 @@ class MemberGraphs:
             if one is None:
                 return None
             bound.append(one)
-        runs = [each.run for each in bound]
-        if len(runs) == 1:
-            return runs[0]
         # Graphs that draw random numbers or write must not run side by side.
         if not all(each.is_pure for each in bound):
             run_all = map
-
-        def run_parts(*values: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            split = zip(*(value.split(length) for value in values), strict=True)
-            outputs = run_all(lambda run, part: run(*part), runs, split)
-            return tuple(torch.cat(each) for each in zip(*outputs, strict=True))
-
-        return run_parts
+        return in_parts([each.run for each in bound], length, run_all)
 
     def _bound(
         self,
@@ -127,13 +119,12 @@ class MemberGraphs:
             if value.dtype.is_floating_point
         ]
         # A sum is finite if all numbers are, unless it overflows. So callers look at the
-        # numbers themselves where it is not. Infinity less infinity is not a number.
+        # numbers themselves where it is not.
         total = torch.stack(sums).sum(0) if len(sums) > 1 else sums[0]
-        finite = total - total == 0.0
         rows = inputs.clone().reshape(-1).update(out)
         for head in self._heads:
             rows = head(rows)
-        return [rows[self._action_key].unflatten(0, size), finite.unflatten(0, size)]
+        return [rows[self._action_key].unflatten(0, size), total]
 
 
 def _traced(run: Any, params: Any, inputs: TensorDictBase) -> TracedFunction | None:

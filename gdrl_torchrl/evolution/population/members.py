@@ -121,11 +121,7 @@ def why_one_by_one(
     Raises:
         Exception: What the actor raises when it acts alone.
     """
-    chosen = _finite_first(params)[:_MEMBERS]
-    # With weights that are NaN or infinite nothing could be compared.
-    own: Any = params[chosen]
-    params = own.apply(lambda leaf: leaf.nan_to_num(0.0, 0.0, 0.0))
-    shown: Any = inputs[chosen][:, :_ROWS]
+    params, shown = few_members(params, inputs)
     with torch.random.fork_rng(devices=[]):
         members = make_members(actor, params)
         first = [_act(member, rows) for member, rows in zip(members, shown, strict=True)]
@@ -141,7 +137,7 @@ def why_one_by_one(
         try:
             batch = vmapped(params, shown)
             rows = shown.reshape(-1).update(batch.reshape(-1))
-            final = _finished(rows, heads, actor.out_keys)
+            final = finished(rows, heads, actor.out_keys)
         except Exception as error:  # whatever torch.vmap refuses
             said = str(error).strip().partition("\n")[0]
             return f"torch.vmap refuses it ({said[:_LONGEST_REASON]})"
@@ -158,10 +154,28 @@ def _act(member: Any, rows: TensorDictBase) -> Outputs:
     prefix, heads = split_actor(member)
     rows = rows.clone()
     written = prefix(rows.clone()).select(*prefix.out_keys, strict=False)
-    return _finished(rows.update(written), heads, member.out_keys)
+    return finished(rows.update(written), heads, member.out_keys)
 
 
-def _finished(rows: TensorDictBase, heads: Iterable[Any], keys: Iterable[Any]) -> Outputs:
+def few_members(
+    params: TensorDictBase, inputs: TensorDictBase
+) -> tuple[TensorDictBase, TensorDictBase]:
+    """Parameters and inputs of few members, few rows of each, for comparisons.
+
+    Args:
+        params: Parameters and buffers of members ``[P]``. With weights that are NaN or
+            infinite nothing could be compared: members without them come first, and such
+            weights are replaced.
+        inputs: Inputs of the members, ``[P, S]``.
+    """
+    chosen = _finite_first(params)[:_MEMBERS]
+    own: Any = params[chosen]
+    shown: Any = inputs[chosen][:, :_ROWS]
+    return own.apply(lambda leaf: leaf.nan_to_num(0.0, 0.0, 0.0)), shown
+
+
+def finished(rows: TensorDictBase, heads: Iterable[Any], keys: Iterable[Any]) -> Outputs:
+    """What heads write for rows with the outputs of a network, without exploration."""
     # Random draws of heads differ between rows and batch: compare without exploration.
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         for head in heads:
@@ -199,10 +213,11 @@ def _are_equal(one: Outputs, other: Outputs) -> bool:
 def _are_close(one: Mapping[Any, torch.Tensor], other: Outputs) -> bool:
     """Whether numbers are equal but for rounding; integers count if there are no others."""
     numbers = [key for key, value in other.items() if value.dtype.is_floating_point]
-    return all(_is_close(one[key], other[key]) for key in numbers or other)
+    return all(is_close(one[key], other[key]) for key in numbers or other)
 
 
-def _is_close(one: torch.Tensor, other: torch.Tensor) -> bool:
+def is_close(one: torch.Tensor, other: torch.Tensor) -> bool:
+    """Whether numbers are equal but for rounding, and integers equal."""
     if not other.dtype.is_floating_point:
         return torch.equal(one, other)
     finite = other[torch.isfinite(other)].abs()

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from gdrl_tasks.definition import Outcome
 from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_tasks.indoor.lidar import beam_angles
 from gdrl_tasks.indoor.robot import BODY_X_M, FOOTPRINT_M
 from gdrl_tasks.indoor.task import IndoorTask
-from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.task import NavigationTask
 from gdrl_torchrl.pictures.film.frames import (
     surface_of,

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from gdrl_tasks.definition import Outcome
 from gdrl_tasks.engines.divergence import DivergedWorld, StateMemory
+from gdrl_tasks.engines.pool import ShardPool
 from gdrl_tasks.engines.quiet import quiet_engine
-from gdrl_tasks.engines.shard import Shard
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.kernels import are_rows, rows_are_sane
-from gdrl_tasks.navigation import Outcome
 from gdrl_tasks.processors import allowed_processors
 from gdrl_tasks.seeds import Stream, episode_seeds, fresh_seed
-from gdrl_tasks.task import NavigationTask, WorldIndex, check_running
+from gdrl_tasks.spec import WorldIndex
+from gdrl_tasks.task import NavigationTask, check_running
 
 _logger = logging.getLogger(__name__)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)
-_WORLDS_PER_THREAD = 8
-"""With fewer worlds a second thread costs more time than it saves."""
-_WORLDS_PER_SHARD = 20
-"""The same for threads that each run a loop over substeps and take turns in Python."""
 
 
 class StepResult(NamedTuple):
@@ -38,7 +35,7 @@ class StepResult(NamedTuple):
     truncated: np.ndarray
     """``[K]``, bool."""
     outcome: np.ndarray
-    """:class:`~gdrl_tasks.navigation.Outcome` integers ``[K]``."""
+    """:class:`~gdrl_tasks.definition.Outcome` integers ``[K]``."""
 
 
 class BatchSimulation:
@@ -92,26 +89,16 @@ class BatchSimulation:
         self.num_threads = num_threads or allowed_processors()
         self.seed = seed
         self.num_episodes_begun = 0
-        self.model = task.engine_model()
+        self.model = without_scenery(task.xml())
         self.arrays = task.allocate(num_worlds)
         self.qpos = np.zeros((num_worlds, self.model.nq))
         self.qvel = np.zeros((num_worlds, self.model.nv))
         self._all = np.arange(num_worlds)
-        enough = _WORLDS_PER_SHARD if task.has_substep_forces else _WORLDS_PER_THREAD
-        count = max(1, min(self.num_threads, num_worlds // enough))
-        self._engine_threads = 1
-        if not task.has_substep_forces:
-            count, self._engine_threads = 1, count
-        self._bounds = np.linspace(0, num_worlds, count + 1).astype(np.int64)
-        self._shards = [
-            self._make_shard(slice(low, high))
-            for low, high in zip(self._bounds[:-1], self._bounds[1:], strict=True)
-        ]
+        self._shards = ShardPool(
+            task, self.model, self.arrays, self.qpos, self.qvel, self.num_threads
+        )
         self._on_divergence: Callable[[DivergedWorld], object] | None = None
         self._memory: StateMemory | None = None
-        self._pool: ThreadPoolExecutor | None = None
-        if count > 1:
-            self._pool = ThreadPoolExecutor(count - 1, "gdrl-simulation")
 
     def reset(
         self, ids: WorldIndex | None = None, seeds: np.ndarray | None = None
@@ -142,16 +129,14 @@ class BatchSimulation:
         seeds = seeds.astype(np.int64)
         if (seeds < 0).any():
             raise ValueError(f"seeds={seeds.min()} must be >= 0")
-        for shard, own in zip(self._shards, self._split(ids), strict=True):
-            shard.reset(own)
+        self._shards.reset(ids)
         # Members of a population share their episodes, so each is drawn only once.
         for seed in dict.fromkeys(seeds.tolist()):
             rows = ids[seeds == seed]
             episode = self.task.draw_episode(seed)
             self.qpos[rows], self.qvel[rows] = episode.qpos, episode.qvel
             self.task.begin_episode(self.arrays, rows, episode, seed)
-        for shard, own in zip(self._shards, self._split(ids), strict=True):
-            shard.write_model(own)
+        self._shards.write_model(ids)
         self.arrays["episode_number"][ids] = start + np.arange(len(ids))
         self.num_episodes_begun += len(ids)
         return self.observe(ids)
@@ -188,7 +173,7 @@ class BatchSimulation:
         self.task.set_action(self.arrays, ids[rows], action[rows])
         diverged = ~healthy
         with quiet_engine():
-            diverged[rows] = self._advance(ids[rows])
+            diverged[rows] = self._shards.advance(ids[rows])
         qpos = self.qpos[ids]
         reward = self.task.finish_step(self.arrays, ids, qpos, diverged)
         observation = self.task.observe(self.arrays, ids, qpos, self.qvel[ids])
@@ -206,9 +191,8 @@ class BatchSimulation:
         From now on one copy of the state before the last step is kept.
         """
         self._on_divergence = on_divergence
-        engines = [shard.batch.state for shard in self._shards]
         named = self.arrays | {"qpos": self.qpos, "qvel": self.qvel}
-        self._memory = StateMemory(named, engines)
+        self._memory = StateMemory(named, self._shards.states)
 
     def observe(self, ids: WorldIndex | None = None) -> np.ndarray:
         """Flat observations of worlds, ``[K, D]``."""
@@ -219,8 +203,7 @@ class BatchSimulation:
         """All that future steps depend on, as a dict of arrays (copies)."""
         state = {f"arrays.{name}": value.copy() for name, value in self.arrays.items()}
         state["qpos"], state["qvel"] = self.qpos.copy(), self.qvel.copy()
-        engines = [shard.batch.state for shard in self._shards]
-        state["engine"] = np.concatenate(engines)
+        state["engine"] = np.concatenate(self._shards.states)
         state["seed"] = np.array(self.seed)
         state["num_episodes_begun"] = np.array(self.num_episodes_begun)
         return state
@@ -242,53 +225,13 @@ class BatchSimulation:
         for name in self.arrays:
             self.arrays[name][...] = state[f"arrays.{name}"]
         self.qpos[...], self.qvel[...] = state["qpos"], state["qvel"]
-        for shard, low in zip(self._shards, self._bounds[:-1], strict=True):
-            rows = shard.batch.state
-            # Counters of warnings are not part of the state, so they start anew.
-            shard.reset(np.arange(len(rows)))
-            rows[...] = state["engine"][low : low + len(rows)]
-            shard.write_model(np.arange(len(rows)))
+        self._shards.set_states(state["engine"])
         self.seed = int(state["seed"])
         self.num_episodes_begun = int(state["num_episodes_begun"])
 
     def close(self) -> None:
         """Stop the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
-    def _make_shard(self, rows: slice) -> Shard:
-        views = {name: value[rows] for name, value in self.arrays.items()}
-        return Shard(
-            self.task,
-            self.model,
-            views,
-            self.qpos[rows],
-            self.qvel[rows],
-            self._engine_threads,
-        )
-
-    def _split(self, ids: WorldIndex) -> list[WorldIndex]:
-        """Worlds among ``ids`` of each shard, numbered within the shard."""
-        if len(self._shards) == 1:
-            return [ids]
-        cuts = np.searchsorted(ids, self._bounds)
-        return [
-            ids[begin:end] - low
-            for begin, end, low in zip(cuts[:-1], cuts[1:], self._bounds, strict=False)
-        ]
-
-    def _advance(self, ids: WorldIndex) -> np.ndarray:
-        """Step worlds; returns the mask of those that diverged, ``[K]``."""
-        parts = self._split(ids)
-        waiting = [
-            self._pool.submit(shard.advance, own)
-            for shard, own in zip(self._shards[1:], parts[1:], strict=True)
-            if self._pool is not None
-        ]
-        diverged = [self._shards[0].advance(parts[0])]
-        diverged += [future.result() for future in waiting]
-        return diverged[0] if len(diverged) == 1 else np.concatenate(diverged)
+        self._shards.close()
 
     def _checked_ids(self, ids: Any) -> np.ndarray:
         if ids is None:

@@ -1,15 +1,11 @@
-"""Record of a world that diverged, and its last step made again."""
+"""Records of worlds that diverged, and the memory of the states before that."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclasses.dataclass(frozen=True)

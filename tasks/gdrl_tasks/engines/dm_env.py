@@ -17,10 +17,11 @@ from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import TimeStep, specs
 
+from gdrl_tasks.definition import Outcome
 from gdrl_tasks.engines.physics import TaskPhysics
 from gdrl_tasks.kernels import all_sane
-from gdrl_tasks.navigation import Outcome
-from gdrl_tasks.task import NOT_BEGUN, NavigationTask, TaskSpec, check_running
+from gdrl_tasks.spec import NOT_BEGUN, TaskSpec
+from gdrl_tasks.task import NavigationTask, check_running
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
 _RUNNING, _TIMEOUT = int(Outcome.RUNNING), int(Outcome.TIMEOUT)

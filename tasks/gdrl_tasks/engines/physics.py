@@ -11,7 +11,8 @@ from dm_control import mujoco
 
 from gdrl_tasks.engines.quiet import quiet_engine
 from gdrl_tasks.engines.scenery import cast_fewer_shadows, make_room
-from gdrl_tasks.task import NavigationTask, WorldArrays
+from gdrl_tasks.spec import WorldArrays
+from gdrl_tasks.task import NavigationTask
 
 _ONE_WORLD = np.zeros(1, dtype=np.int64)
 _SCENE_CALLBACK = 7

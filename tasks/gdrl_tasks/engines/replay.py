@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_tasks.task import NavigationTask
-
-if TYPE_CHECKING:
-    from gdrl_tasks.engines.batch import BatchSimulation
 
 
 def repeat_step(
@@ -20,7 +17,8 @@ def repeat_step(
 
     Args:
         task: The task, perhaps with other options.
-        before: The state, as in :class:`DivergedWorld`.
+        before: The state before the step, as
+            :attr:`~gdrl_tasks.engines.divergence.DivergedWorld.before` has it.
         action: The action, ``[A]`` or ``[]``.
 
     Raises:
@@ -39,8 +37,6 @@ def repeat_step(
         >>> again.arrays["outcome"]
         array([4])
     """
-    from gdrl_tasks.engines.batch import BatchSimulation
-
     simulation = BatchSimulation(task, 1, num_threads=1)
     own = ("qpos", "qvel", "engine")
     state = {

@@ -7,7 +7,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from gdrl_tasks.kernels import newly_warned, rows_are_sane
-from gdrl_tasks.task import NavigationTask, WorldArrays, WorldIndex
+from gdrl_tasks.spec import WorldArrays, WorldIndex
+from gdrl_tasks.task import NavigationTask
 
 _DIVERGENCE_WARNINGS = np.array(
     [

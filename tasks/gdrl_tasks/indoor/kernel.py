@@ -1,6 +1,6 @@
 """The arithmetic of robot and lidar as compiled loops.
 
-:func:`gdrl_tasks.indoor.obstacles.clearance` is the definition of :func:`clearances`,
+:func:`gdrl_tasks.indoor.definition.clearance` is the definition of :func:`clearances`,
 and the engine's own rays define :func:`scan`; tests compare them. The engine's rays take
 five times as long, because each call places every geom of every world.
 """

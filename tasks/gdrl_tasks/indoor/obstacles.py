@@ -1,4 +1,4 @@
-"""Obstacles of a layout as arrays, and the distance to them.
+"""Obstacles of a layout as arrays.
 
 A layout is ``N`` upright shapes, boxes and cylinders, walls among them. Their sizes
 belong to the arena and never change; their places are an array ``[W, N, 4]`` of x, y
@@ -11,7 +11,6 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 ABSENT_M = 100.0
 """Place of shapes that a layout does not use, far out of sight."""
@@ -56,36 +55,3 @@ def place(x: Any, y: Any, yaw: Any = 0.0) -> np.ndarray:
     places[..., 0], places[..., 1] = x, y
     places[..., 2], places[..., 3] = np.cos(yaw), np.sin(yaw)
     return places
-
-
-def clearance(points: Any, places: Any, is_box: Any, half_size: Any) -> Any:
-    """Distance from points to the nearest surface, negative inside an obstacle.
-
-    Args:
-        points: Points, metres, ``[W, 2]``.
-        places: Places of the shapes around each point, ``[W, N, 4]``.
-        is_box: Mask of boxes, ``[N]``.
-        half_size: Half sizes, metres, ``[N, 2]``.
-
-    Returns:
-        Distances in metres, ``[W]``.
-
-    Examples:
-        >>> shapes = make_shapes([(1.0, 0.5)], [0.2], height_m=0.3)
-        >>> layout = place([0.0, 5.0], [0.0, 0.0])[None]
-        >>> clearance(
-        ...     np.array([[4.0, 0.0]]), layout, shapes.is_box, shapes.half_size
-        ... ).round(3)
-        array([0.8])
-    """
-    xp = array_namespace(points, places)
-    dx = points[:, None, 0] - places[..., 0]
-    dy = points[:, None, 1] - places[..., 1]
-    cosine, sine = places[..., 2], places[..., 3]
-    # In the frame of a box its surface is where one of these two is zero.
-    over_x = xp.abs(cosine * dx + sine * dy) - half_size[:, 0]
-    over_y = xp.abs(cosine * dy - sine * dx) - half_size[:, 1]
-    outside = xp.hypot(xp.clip(over_x, 0.0, None), xp.clip(over_y, 0.0, None))
-    box = outside + xp.clip(xp.maximum(over_x, over_y), None, 0.0)
-    cylinder = xp.hypot(dx, dy) - half_size[:, 0]
-    return xp.min(xp.where(is_box, box, cylinder), axis=-1)

@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.indoor import lidar
 from gdrl_tasks.indoor.arena import ARENAS
 from gdrl_tasks.indoor.kernel import ahead_of, clearances_ahead, scan_ahead
@@ -24,13 +23,8 @@ from gdrl_tasks.indoor.robot import (
     obstacle_geoms,
 )
 from gdrl_tasks.indoor.scenery import draw_scan
-from gdrl_tasks.task import (
-    Episode,
-    NavigationTask,
-    TaskSpec,
-    WorldArrays,
-    WorldIndex,
-)
+from gdrl_tasks.spec import Episode, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.task import NavigationTask
 
 COLLISION_MARGIN_M = 0.005
 """A footprint this near to an obstacle counts as touching it: walls are solid."""
@@ -100,10 +94,6 @@ class IndoorTask(NavigationTask):
             substep_s=self.spec.substep_s,
             goal_tolerance_m=self.goal_tolerance_m,
         )
-
-    def engine_model(self) -> mujoco.MjModel:
-        """Without scenery."""
-        return without_scenery(self.xml())
 
     def extra_arrays(self, num_worlds: int) -> WorldArrays:
         """Wheel speeds, obstacles and the last scan."""

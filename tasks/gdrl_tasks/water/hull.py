@@ -88,6 +88,33 @@ class Hull:
     thrust_lag_s: float
     dead_zone: float
 
+    def as_tuples(self) -> tuple[tuple[float, ...], tuple[np.ndarray, ...]]:
+        """Numbers and arrays for compiled loops, which take no objects."""
+        scalars = (
+            self.mass_kg,
+            self.draft_m,
+            self.depth_m,
+            self.acting_depth_m,
+            self.point_area_m2,
+            self.point_damping,
+            self.point_added_mass,
+            self.lever_m,
+            self.thrust_height_m,
+            self.thrust_ahead_n,
+            self.thrust_astern_n,
+            self.thrust_lag_s,
+            self.dead_zone,
+        )
+        arrays = (
+            self.inertia,
+            self.added_mass,
+            self.linear_damping,
+            self.quadratic_damping,
+            self.stiffness,
+            np.ascontiguousarray(self.points.T),
+        )
+        return scalars, arrays
+
 
 def make_hull(parameters: HullParameters | None = None) -> Hull:
     """Derive the constants of the equations of motion.

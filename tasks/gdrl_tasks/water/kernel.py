@@ -1,6 +1,6 @@
 """The water forces of one substep as a compiled loop over worlds.
 
-The definition of this arithmetic is :mod:`gdrl_tasks.water.hydrodynamics`; a test holds
+:mod:`gdrl_tasks.water.definition` defines this arithmetic in array functions; a test holds
 the two to 1e-12 of each other. There is no fast-math: loops are laid out so that the
 compiler may work on several waves or hull points at once without changing any sum. Along
 a hull the wave phases are equally spaced, so each sine follows from the one before by a
@@ -15,6 +15,7 @@ import numpy as np
 
 from gdrl_tasks.compiled import compiled
 from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, Hull
+from gdrl_tasks.water.sines import sines
 from gdrl_tasks.water.waves import SEA_FIELDS
 
 _ROW = 64
@@ -23,18 +24,15 @@ a constant, so that the compiler knows that rows do not overlap."""
 _SURFACE, _SLOPE_X, _SLOPE_Y, _RISE, _RISE_RATE, _COS, _SIN = (_ROW * i for i in range(7))
 _ARM_X, _ARM_Y, _ARM_Z, _FORCE_X, _FORCE_Y, _FORCE_Z = (_ROW * i for i in range(7, 13))
 _BEFORE, _AFTER = _COS, _SIN
-_TWO_OVER_PI = 2.0 / math.pi
-# Half pi in three parts (Cody and Waite 1980): products of the first two with whole
-# numbers below 2**20 are exact.
-_HALF_PI_HIGH = 1.57079632673412561417e00
-_HALF_PI_MIDDLE = 6.07710050630396597660e-11
-_HALF_PI_LOW = 2.02226624879595063154e-21
-_ROUND = 6755399441055744.0
-"""1.5 * 2**52: adding and subtracting it rounds to a whole number."""
 
 
-def hull_constants(hull: Hull) -> tuple:
-    """The constants of a hull in the order that :func:`substep` expects.
+def substep_constants(hull: Hull, substep_s: float, compensated: bool) -> tuple:
+    """The constants of a task in the order that :func:`substep` expects.
+
+    Args:
+        hull: The hull.
+        substep_s: Length of the substep, seconds.
+        compensated: Whether the thrusters' dead zone is compensated.
 
     Raises:
         ValueError: If the hull has too many points.
@@ -42,30 +40,7 @@ def hull_constants(hull: Hull) -> tuple:
     if len(hull.points) > _ROW:
         raise ValueError(f"a hull of {len(hull.points)} points: {_ROW} at most")
     stations = len(hull.points) // 2
-    scalars = (
-        hull.mass_kg,
-        hull.draft_m,
-        hull.depth_m,
-        hull.acting_depth_m,
-        hull.point_area_m2,
-        hull.point_damping,
-        hull.point_added_mass,
-        hull.lever_m,
-        hull.thrust_height_m,
-        hull.thrust_ahead_n,
-        hull.thrust_astern_n,
-        hull.thrust_lag_s,
-        hull.dead_zone,
-    )
-    arrays = (
-        hull.inertia,
-        hull.added_mass,
-        hull.linear_damping,
-        hull.quadratic_damping,
-        hull.stiffness,
-        np.ascontiguousarray(hull.points.T),
-    )
-    return stations, hull.spacing_m, scalars, arrays
+    return stations, hull.spacing_m, substep_s, compensated, *hull.as_tuples()
 
 
 def sea_arrays(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -74,77 +49,24 @@ def sea_arrays(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
 
 
 @compiled
-def sines(angle, cosine, sine):  # pragma: no cover - compiled
-    """Write cosines and sines of angles below 1e6 radians, all ``[N]``.
-
-    The absolute error is 1e-15 or, for large angles, that of their own rounding. The
-    library's functions take one number at a time; this is a loop without branches.
-    Coefficients are those of the Taylor series, which is accurate enough on
-    [-pi/4, pi/4].
-    """
-    for i in range(len(angle)):
-        turns = (angle[i] * _TWO_OVER_PI + _ROUND) - _ROUND
-        rest = angle[i] - turns * _HALF_PI_HIGH
-        rest = (rest - turns * _HALF_PI_MIDDLE) - turns * _HALF_PI_LOW
-        square = rest * rest
-        odd = -1.0 / 1307674368000.0
-        odd = odd * square + 1.0 / 6227020800.0
-        odd = odd * square - 1.0 / 39916800.0
-        odd = odd * square + 1.0 / 362880.0
-        odd = odd * square - 1.0 / 5040.0
-        odd = odd * square + 1.0 / 120.0
-        odd = odd * square - 1.0 / 6.0
-        odd = rest + rest * (square * odd)
-        even = 1.0 / 20922789888000.0
-        even = even * square - 1.0 / 87178291200.0
-        even = even * square + 1.0 / 479001600.0
-        even = even * square - 1.0 / 3628800.0
-        even = even * square + 1.0 / 40320.0
-        even = even * square - 1.0 / 720.0
-        even = even * square + 1.0 / 24.0
-        even = 1.0 - 0.5 * square + square * square * even
-        # The quarter of the circle, as -2, -1, 0, 1 or 2.
-        quarter = turns - 4.0 * ((0.25 * turns + _ROUND) - _ROUND)
-        swapped = quarter * quarter == 1.0
-        behind = quarter * quarter == 4.0
-        first = odd if swapped else even
-        second = even if swapped else odd
-        cosine[i] = -first if (behind or quarter == 1.0) else first
-        sine[i] = -second if (behind or quarter == -1.0) else second
-
-
-@compiled
 def substep(
-    ids,
-    qpos,
-    qvel,
-    time_s,
-    xfrc,
-    thrust,
-    command,
-    current,
-    sea,
-    hull,
-    substep_s,
-    compensated,
+    ids, qpos, qvel, time_s, wrench, thrust, command, current, sea, constants
 ):  # pragma: no cover - compiled
     """Advance the thrusters and write the wrench of worlds ``ids`` for one substep.
 
     Args:
-        ids: World indices, ``[K]``.
-        qpos: ``[W, 7]``; qvel ``[W, 6]``; time_s ``[W]``; xfrc ``[W, 6]`` (written).
-        qvel: See ``qpos``.
-        time_s: See ``qpos``.
-        xfrc: See ``qpos``.
-        thrust: ``[W, 2]``, written.
-        command: ``[W, 2]``.
-        current: ``[W, 2]``.
-        sea: Six arrays ``[W, C]``.
-        hull: :func:`hull_constants`.
-        substep_s: Seconds.
-        compensated: Whether the dead zone is compensated.
+        ids: Numbers of the worlds, ``[K]``.
+        qpos: Positions of all hulls, ``[W, 7]``.
+        qvel: Their velocities, ``[W, 6]``.
+        time_s: Times since their episodes began, seconds, ``[W]``.
+        wrench: Forces and torques in the world frame, N and N m, ``[W, 6]``, written.
+        thrust: Thrust to port and starboard, N, ``[W, 2]``, written.
+        command: Commands in [-1, 1], ``[W, 2]``.
+        current: Velocities of the water bodies, m/s, ``[W, 2]``.
+        sea: :func:`sea_arrays`.
+        constants: :func:`substep_constants`.
     """
-    stations, spacing, scalars, vectors = hull
+    stations, spacing, substep_s, compensated, scalars, vectors = constants
     (mass, draft, depth, acting, area, point_damping, point_added) = scalars[:7]
     (lever, thrust_height, ahead, astern, lag, dead_zone) = scalars[7:]
     inertia, added, linear, quadratic, stiffness, points = vectors
@@ -369,5 +291,5 @@ def substep(
         torque_z = inertia[2] * rate_r + p * hy - q * hx
         for i in range(3):
             a, b, d = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-            xfrc[world, i] = a * force_x + b * force_y + d * force_z
-            xfrc[world, 3 + i] = a * torque_x + b * torque_y + d * torque_z
+            wrench[world, i] = a * force_x + b * force_y + d * force_z
+            wrench[world, 3 + i] = a * torque_x + b * torque_y + d * torque_z

@@ -5,7 +5,8 @@ from __future__ import annotations
 import mujoco
 
 from gdrl_tasks.water.hull import GRAVITY_M_S2, Hull
-from gdrl_tasks.water.looks import add_surroundings, add_vessel
+from gdrl_tasks.water.surroundings import add_surroundings
+from gdrl_tasks.water.vessel import add_vessel
 
 
 def model_xml(

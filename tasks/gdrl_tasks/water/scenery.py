@@ -10,10 +10,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gdrl_tasks.task import WorldArrays
-from gdrl_tasks.water.looks import FAR_COLOUR, SEA_TEXTURE, sea_mesh, sea_places
+from gdrl_tasks.spec import WorldArrays
+from gdrl_tasks.water.definition import elevation
+from gdrl_tasks.water.surroundings import FAR_COLOUR, SEA_TEXTURE, sea_mesh, sea_places
 from gdrl_tasks.water.wake import Track, foam
-from gdrl_tasks.water.waves import elevation
 
 _CHASE_BEHIND_M, _CHASE_HEIGHT_M, _CHASE_AHEAD_M = 3.6, 1.75, 1.9
 _CHASE_OFF_AXIS_RAD = 0.35
@@ -51,7 +51,7 @@ def surface_grid(
 ) -> np.ndarray:
     """Surface heights of one world over a grid, metres.
 
-    The sum of :func:`gdrl_tasks.water.waves.elevation` as one product of matrices,
+    The sum of :func:`gdrl_tasks.water.definition.elevation` as one product of matrices,
     because cos(a + b) is the real part of exp(ia) exp(ib).
 
     Args:

@@ -6,15 +6,14 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.kernels import upside_down
-from gdrl_tasks.task import Episode, NavigationTask, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.spec import Episode, TaskSpec, WorldArrays, WorldIndex
+from gdrl_tasks.task import NavigationTask
 from gdrl_tasks.water import waves
 from gdrl_tasks.water.hull import make_hull
-from gdrl_tasks.water.kernel import hull_constants, sea_arrays, substep
+from gdrl_tasks.water.kernel import sea_arrays, substep, substep_constants
 from gdrl_tasks.water.model import model_xml
 from gdrl_tasks.water.options import EXTRA_OBSERVATIONS, WaterOptions
 from gdrl_tasks.water.scenery import draw_sea_surface, note_track
@@ -72,7 +71,9 @@ class WaterTask(NavigationTask):
             * (FASTEST_M_S + options.current_m_s)
             * options.control_interval_s,
         )
-        self._constants = hull_constants(self.hull)
+        self._constants = substep_constants(
+            self.hull, options.substep_s, options.dead_zone_compensated
+        )
 
     @property
     def distance_scale_m(self) -> float:
@@ -92,10 +93,6 @@ class WaterTask(NavigationTask):
             farthest_goal_m=self.goal_distance_m[1],
             goal_tolerance_m=self.goal_tolerance_m,
         )
-
-    def engine_model(self) -> mujoco.MjModel:
-        """Without scenery."""
-        return without_scenery(self.xml())
 
     def note_scenery(self, physics: Any) -> None:
         """Remember where the vessel was, for its wake."""
@@ -202,13 +199,8 @@ class WaterTask(NavigationTask):
     ) -> Callable[[WorldIndex], None]:
         """:meth:`apply_forces` as a function of the worlds alone, ``[K]``."""
         own = (arrays["thrust"], arrays["command"], arrays["current"], sea_arrays(arrays))
-        constants = (
-            self._constants,
-            self.spec.substep_s,
-            self.options.dead_zone_compensated,
-        )
         state = (qpos, qvel, time_s, xfrc_applied[:, -1])
-        return lambda ids: substep(ids, *state, *own, *constants)
+        return lambda ids: substep(ids, *state, *own, self._constants)
 
     def capsizes(
         self, arrays: WorldArrays, ids: WorldIndex, qpos: np.ndarray

@@ -1,4 +1,4 @@
-"""A directional sea of long-crested components: spectrum, draw and kinematics.
+"""A directional sea of long-crested components: its spectrum, and how it is drawn.
 
 Every component has its own direction, drawn from a spreading function, so that no two
 components share a frequency and the surface is the same statistically everywhere
@@ -145,12 +145,6 @@ def _cumulative_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return ratio, zeroth, minus_first, ratio * mean / whole
 
 
-def energy_period(period_s: float) -> float:
-    """Energy period Te = m-1/m0 (times 2 pi) of a JONSWAP sea with peak period Tp, s."""
-    _, zeroth, minus_first, _ = _cumulative_moments()
-    return period_s * float(minus_first[-1] / zeroth[-1])
-
-
 def draw_sea(
     generator: np.random.Generator,
     *,
@@ -216,69 +210,3 @@ def draw_sea(
         "phase": generator.uniform(0.0, 2.0 * math.pi, num_components),
         "decay": np.exp(-wavenumber * depth_m),
     }
-
-
-def wave_phase(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
-    """Phases of all components at points.
-
-    Args:
-        sea: Component arrays ``[W, C]`` by :data:`SEA_FIELDS`.
-        x: World x of the points, metres, ``[W, K]``.
-        y: World y of the points, metres, ``[W, K]``.
-        time_s: Times, seconds, ``[W]``.
-
-    Returns:
-        Phases in radians, ``[W, K, C]``.
-    """
-    moving = sea["phase"] - sea["omega"] * time_s[..., None]
-    return (
-        x[..., None] * sea["wavenumber_x"][..., None, :]
-        + y[..., None] * sea["wavenumber_y"][..., None, :]
-        + moving[..., None, :]
-    )
-
-
-def elevation(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
-    """Height of the surface over still water at points, metres, ``[W, K]``.
-
-    Arguments as in :func:`wave_phase`.
-    """
-    phase = wave_phase(sea, x, y, time_s)
-    xp = array_namespace(phase)
-    return xp.sum(sea["amplitude"][..., None, :] * xp.cos(phase), axis=-1)
-
-
-def orbital_velocity(sea: dict[str, Any], x: Any, y: Any, z: Any, time_s: Any) -> Any:
-    """Water velocity below the surface, by linear theory with Wheeler stretching.
-
-    Wheeler (1970) measures depth from the instantaneous surface: in deep water the decay
-    is exp(k (z - elevation)).
-
-    Args:
-        sea: Component arrays ``[W, C]``.
-        x: World x of the points, metres, ``[W, K]``.
-        y: World y of the points, metres, ``[W, K]``.
-        z: World z of the points, metres, ``[W, K]``; points above the surface count as
-            at the surface.
-        time_s: Times, seconds, ``[W]``.
-
-    Returns:
-        Velocities in the world frame, m/s, ``[W, K, 3]``.
-    """
-    phase = wave_phase(sea, x, y, time_s)
-    xp = array_namespace(phase)
-    kx, ky = sea["wavenumber_x"][..., None, :], sea["wavenumber_y"][..., None, :]
-    amplitude, omega = sea["amplitude"][..., None, :], sea["omega"][..., None, :]
-    surface = xp.sum(amplitude * xp.cos(phase), axis=-1)
-    depth = xp.clip(surface - z, 0.0, None)
-    wavenumber = xp.hypot(kx, ky)
-    speed = amplitude * omega * xp.exp(-wavenumber * depth[..., None])
-    horizontal = speed * xp.cos(phase) / wavenumber
-    return xp.stack(
-        [
-            xp.sum(horizontal * kx, axis=-1),
-            xp.sum(horizontal * ky, axis=-1),
-            xp.sum(speed * xp.sin(phase), axis=-1),
-        ],
-        axis=-1,
-    )

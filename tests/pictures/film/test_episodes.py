@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gdrl_tasks import NavigationTask, Outcome, make_task
-from gdrl_tasks.indoor.obstacles import clearance
+from gdrl_tasks.indoor.definition import clearance
 from gdrl_torchrl.files.trajectories import read_trajectories, save_trajectories
 from gdrl_torchrl.pictures.film.episodes import record_trajectories
 from gdrl_torchrl.pictures.layout import posed

@@ -13,9 +13,10 @@ from scipy.sparse.csgraph import dijkstra
 
 import gdrl_tasks
 from gdrl_tasks.indoor.arena import ARENAS
+from gdrl_tasks.indoor.definition import clearance
 from gdrl_tasks.indoor.free_space import CELL_M, FreeSpace
 from gdrl_tasks.indoor.kernel import clearances
-from gdrl_tasks.indoor.obstacles import clearance, make_shapes, place
+from gdrl_tasks.indoor.obstacles import make_shapes, place
 
 FOOTPRINT_M = 0.115
 FINE_M = 0.025

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gdrl_tasks import make_task
-from gdrl_tasks.indoor.obstacles import clearance
+from gdrl_tasks.indoor.definition import clearance
 from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
 
 

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import gdrl_tasks
+from gdrl_tasks.engines.scenery import without_scenery
 from gdrl_tasks.water.hull import (
     GRAVITY_M_S2,
     WATER_DENSITY_KG_M3,
@@ -35,7 +36,7 @@ def engine(substep_s):
     task = WaterTask(
         WaterOptions(sea="calm", substep_s=substep_s, control_interval_s=substep_s)
     )
-    return task, task.engine_model()
+    return task, without_scenery(task.xml())
 
 
 def motion(qpos, qvel, seconds, *, substep_s=SUBSTEP_S, command=0.0):

@@ -13,16 +13,18 @@ from hypothesis import strategies as st
 import gdrl_tasks
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_tasks.controllers import pursuit
-from gdrl_tasks.water import hydrodynamics, waves
+from gdrl_tasks.water import definition, waves
 from gdrl_tasks.water.hull import (
     GRAVITY_M_S2,
     WATER_DENSITY_KG_M3,
     HullParameters,
     make_hull,
 )
-from gdrl_tasks.water.kernel import hull_constants, sea_arrays, sines, substep
+from gdrl_tasks.water.kernel import sea_arrays, substep, substep_constants
 from gdrl_tasks.water.options import WaterOptions
+from gdrl_tasks.water.sines import sines
 from gdrl_tasks.water.task import WaterTask
+from tests.oracles.waves import orbital_velocity
 
 HULL = make_hull()
 SUBSTEP_S = WaterOptions().substep_s
@@ -70,10 +72,10 @@ def random_state(seed, *, still_water=False, level=False):
 
 
 def array_wrench(state, hull=HULL, *, substep_s=SUBSTEP_S, compensated=False):
-    mean, end = hydrodynamics.advance_thrust(
+    mean, end = definition.advance_thrust(
         hull, state.thrust, state.command, substep_s, compensated
     )
-    wrench = hydrodynamics.hull_wrench(
+    wrench = definition.hull_wrench(
         hull, state.sea, state.current, mean, state.qpos, state.qvel, state.time, substep_s
     )
     return wrench, end
@@ -92,9 +94,7 @@ def kernel_wrench(state, ids, *, compensated=False):
         state.command,
         state.current,
         sea_arrays(state.sea),
-        hull_constants(HULL),
-        SUBSTEP_S,
-        compensated,
+        substep_constants(HULL, SUBSTEP_S, compensated),
     )
     return wrench, thrust
 
@@ -142,7 +142,7 @@ def test_there_is_no_sine_of_what_is_no_angle(angle):
 
 def test_a_hull_of_too_many_points_is_refused():
     with pytest.raises(ValueError, match="66 points"):
-        hull_constants(make_hull(HullParameters(stations=33)))
+        substep_constants(make_hull(HullParameters(stations=33)), SUBSTEP_S, False)
 
 
 def test_torch_gives_the_same_forces_as_numpy():
@@ -215,7 +215,7 @@ def test_mujoco_moves_with_the_acceleration_of_fossens_equations():
     state.time[:] = 1.0
     # An infinitely short substep: no damping at its middle.
     wrench, _ = array_wrench(state, substep_s=1e-9)
-    mean, _ = hydrodynamics.advance_thrust(HULL, state.thrust, state.command, 1e-9, False)
+    mean, _ = definition.advance_thrust(HULL, state.thrust, state.command, 1e-9, False)
     task = WaterTask(WaterOptions(sea="calm"))
     model = mujoco.MjModel.from_xml_string(task.xml())
     data = mujoco.MjData(model)
@@ -361,7 +361,7 @@ def test_thrust_lags_exponentially_whatever_the_substep(command, target, substep
     thrust = np.full((1, 2), 3.0)
     impulse = 0.0
     for _ in range(round(0.2 / substep_s)):
-        mean, thrust = hydrodynamics.advance_thrust(
+        mean, thrust = definition.advance_thrust(
             HULL, thrust, np.full((1, 2), command), substep_s, False
         )
         impulse += mean[0, 0] * substep_s
@@ -396,9 +396,9 @@ def test_a_very_long_wave_moves_the_hull_with_the_surface():
         worlds.step(np.zeros((1, 2)))
         time = np.array([0.25 * step])
         x, y = worlds.qpos[:, 0:1], worlds.qpos[:, 1:2]
-        surface = waves.elevation(sea, x, y, time)
+        surface = definition.elevation(sea, x, y, time)
         rise.append(worlds.qpos[0, 2] - worlds.task.rest_height_m - surface[0, 0])
-        velocity = waves.orbital_velocity(sea, x, y, surface - HULL.draft_m / 2, time)
+        velocity = orbital_velocity(sea, x, y, surface - HULL.draft_m / 2, time)
         follow.append(worlds.qvel[0, :3].copy())
         water.append(velocity[0, 0])
     amplitude = sea["amplitude"][0, 0]

@@ -1,4 +1,7 @@
-"""Forces of water and thrusters on the hull: Fossen's equations with added mass.
+"""The definition of waves and of forces on the hull: Fossen's equations with added mass.
+
+Array functions for NumPy and torch alike. Engines call :mod:`gdrl_tasks.water.kernel`, a
+compiled loop that is tested against them.
 
 MuJoCo's rigid body cannot carry a body-frame added mass, so the accelerations are
 solved here, (M_RB + M_A) dnu/dt = tau - C nu - D nu_r - g + M_A dnu_w/dt (Fossen 2011,
@@ -18,6 +21,36 @@ from typing import Any
 from array_api_compat import array_namespace
 
 from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3, Hull
+
+
+def wave_phase(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
+    """Phases of all components at points.
+
+    Args:
+        sea: Component arrays ``[W, C]`` by :data:`~gdrl_tasks.water.waves.SEA_FIELDS`.
+        x: World x of the points, metres, ``[W, K]``.
+        y: World y of the points, metres, ``[W, K]``.
+        time_s: Times, seconds, ``[W]``.
+
+    Returns:
+        Phases in radians, ``[W, K, C]``.
+    """
+    moving = sea["phase"] - sea["omega"] * time_s[..., None]
+    return (
+        x[..., None] * sea["wavenumber_x"][..., None, :]
+        + y[..., None] * sea["wavenumber_y"][..., None, :]
+        + moving[..., None, :]
+    )
+
+
+def elevation(sea: dict[str, Any], x: Any, y: Any, time_s: Any) -> Any:
+    """Height of the surface over still water at points, metres, ``[W, K]``.
+
+    Arguments as in :func:`wave_phase`.
+    """
+    phase = wave_phase(sea, x, y, time_s)
+    xp = array_namespace(phase)
+    return xp.sum(sea["amplitude"][..., None, :] * xp.cos(phase), axis=-1)
 
 
 def advance_thrust(

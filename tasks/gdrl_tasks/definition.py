@@ -1,7 +1,9 @@
-"""Goal geometry, outcomes and rewards shared by all navigation tasks.
+"""The definition of what all tasks share: where the goal is, outcome, reward, success.
 
-Pure functions of arrays with a leading world axis ``W``, for NumPy and torch alike
-(the array-API subset of both).
+Pure functions of arrays with a leading world axis ``W``, for NumPy and torch alike (the
+array-API subset of both). Engines compute the same with the compiled loops of
+:mod:`gdrl_tasks.kernels`, which are tested against these functions. An engine on another
+device can call them as they are.
 """
 
 from __future__ import annotations
@@ -102,6 +104,35 @@ def decide_outcome(
     ):
         outcome = xp.where(mask, xp.full_like(outcome, int(value)), outcome)
     return outcome
+
+
+def step_reward(outcome: Any, progress: Any, truncates_at_limit: bool) -> Any:
+    """Rewards of a control step.
+
+    A step that ends the episode gives 1 at the goal and else -1, without its progress, as
+    in the papers. If the step limit truncates an episode, its last step is as any other.
+
+    Args:
+        outcome: :class:`Outcome` integers after the step, ``[W]``.
+        progress: Rewards for progress towards the goal, ``[W]``.
+        truncates_at_limit: Whether the step limit truncates episodes.
+
+    Returns:
+        Rewards, ``[W]``.
+
+    Examples:
+        >>> import numpy as np
+        >>> outcome = np.array([Outcome.RUNNING, Outcome.SUCCESS, Outcome.TIMEOUT])
+        >>> step_reward(outcome, np.full(3, 0.5), truncates_at_limit=False)
+        array([ 0.5,  1. , -1. ])
+    """
+    xp = array_namespace(progress)
+    goes_on = outcome == int(Outcome.RUNNING)
+    if truncates_at_limit:
+        goes_on = goes_on | (outcome == int(Outcome.TIMEOUT))
+    reached = outcome == int(Outcome.SUCCESS)
+    at_end = xp.where(reached, xp.ones_like(progress), -xp.ones_like(progress))
+    return xp.where(goes_on, progress, at_end)
 
 
 def success_weighted_path_length(success: Any, shortest: Any, path: Any) -> Any:
