@@ -63,6 +63,12 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
             f"evolution.critic_on_switch='reset' must be 'keep' with {label}, which has no "
             "critic"
         )
+    replays = getattr(algorithm, "replay_capacity", None) is not None
+    if getattr(evolution, "updates_for_shared", False) and not replays:
+        raise ValueError(
+            f"evolution.updates_for_shared=True must be False with {label}, which replays "
+            "no experience"
+        )
     if config.task.backend == "dm_control" and config.seed > _MOST_DM_CONTROL_SEED:
         raise ValueError(
             f"seed={config.seed} must be <= {_MOST_DM_CONTROL_SEED} with "

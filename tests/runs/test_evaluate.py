@@ -85,6 +85,24 @@ def test_the_evaluation_equals_a_plain_loop(actor_of, population_of, easy_task_f
     )
 
 
+def test_both_modes_are_evaluated_on_the_same_worlds(actor_of, easy_task_for):
+    task, config = easy_task_for(), EvaluationConfig(episodes=40, num_worlds=20)
+    actor = actor_of("tanh_normal")
+    parameters = dict(actor.named_parameters())
+    [scale] = [p for name, p in parameters.items() if "state_independent_scale" in name]
+    with torch.no_grad():
+        # Next to no noise: to sample is to be greedy.
+        scale.fill_(-20.0)
+    scores = evaluate_policy(task, actor, config, num_threads=1)
+    assert scores["success_rate_sampled"] == scores["success_rate"]
+    with torch.no_grad():
+        scale.fill_(1.0)
+    noisy, again = (evaluate_policy(task, actor, config, num_threads=n) for n in (1, 2))
+    assert noisy == again
+    assert noisy["success_rate"] == scores["success_rate"]
+    assert noisy["success_rate_sampled"] != scores["success_rate_sampled"]
+
+
 def test_held_out_worlds_are_apart_from_training_and_fitness():
     seeds = held_out_seeds(EvaluationConfig(episodes=50, seed=0))
     assert (stream_of(seeds) == Stream.EVALUATION).all()

@@ -79,7 +79,8 @@ class GeneticHook(PopulationHook):
             keep_transitions=self.hand_over.share_experience is not None,
         )
         verdict = self.contest(match)
-        self._rate_in_contest = float(verdict.scores[keys.SUCCESS_RATE][PARENT])
+        if not in_window:
+            self._rate_in_contest = float(verdict.scores[keys.SUCCESS_RATE][PARENT])
         switched = verdict.winner != PARENT
         shift = None
         if switched:

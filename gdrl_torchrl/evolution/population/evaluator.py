@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Literal
 
 import torch
@@ -11,14 +10,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, Transform
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType
 
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.population.actor import PopulationActor
 from gdrl_torchrl.evolution.population.env_rollout import PopulationRollout
 from gdrl_torchrl.evolution.population.episodes import ordered_episodes
-from gdrl_torchrl.evolution.population.rules import EvaluationRules, Fitness
+from gdrl_torchrl.evolution.population.rules import EvaluationRules, Fitness, acting
 from gdrl_torchrl.evolution.population.simulation_rollout import (
     SimulationRollout,
     simulation_of,
@@ -254,10 +253,7 @@ class PopulationEvaluator(Transform):
             trials, members = 1 if are_given else trials, 1
         try:
             self.population.load(params)
-            with (
-                self._own_draws(int(seeds[0])),
-                set_exploration_type(self.exploration_type),
-            ):
+            with acting(self.exploration_type, int(seeds[0])):
                 simulation = simulation_of(rules, self.population, env)
                 make = PopulationRollout if simulation is None else SimulationRollout
                 for first in range(0, count, members):
@@ -271,15 +267,6 @@ class PopulationEvaluator(Transform):
         finally:
             self.population.unload()
         return rules.summary(scores), ordered_episodes(log)
-
-    @contextlib.contextmanager
-    def _own_draws(self, seed: int) -> Iterator[None]:
-        if self.exploration_type == ExplorationType.DETERMINISTIC:
-            yield
-            return
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            yield
 
     def _check_inputs(self, env: EnvBase) -> None:
         """Raise ValueError if the policy reads an entry that the environment lacks."""

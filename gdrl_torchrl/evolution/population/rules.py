@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_torchrl import keys
 
@@ -32,6 +33,21 @@ def exploration_of(act: str) -> Any:
         'DETERMINISTIC'
     """
     return _EXPLORATION[act]
+
+
+@contextlib.contextmanager
+def acting(kind: Any, seed: int) -> Iterator[None]:
+    """Let policies act in a TorchRL ``ExplorationType`` for the time of an evaluation.
+
+    Unless they act greedily, torch's generator is seeded, and as before afterwards: an
+    evaluation depends on no draws of others, and changes none.
+    """
+    with contextlib.ExitStack() as stack:
+        if kind != ExplorationType.DETERMINISTIC:
+            stack.enter_context(torch.random.fork_rng(devices=[]))
+            torch.manual_seed(seed)
+        stack.enter_context(set_exploration_type(kind))
+        yield
 
 
 @dataclasses.dataclass(frozen=True)

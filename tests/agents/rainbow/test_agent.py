@@ -177,6 +177,7 @@ class ScriptedEvaluator:
             {
                 keys.FITNESS: fitness,
                 keys.RETURN_MEAN: fitness.clone(),
+                keys.SUCCESS_RATE: fitness.clone(),
                 keys.FRAMES: torch.full((len(population),), 20),
             },
             batch_size=[len(population)],
@@ -206,6 +207,30 @@ class ScriptedEvaluator:
 
     def close(self):
         pass
+
+
+@pytest.mark.parametrize("updates_for_shared", [False, True])
+def test_shared_experience_may_have_as_many_updates_as_the_agents_own(
+    updates_for_shared, training_of
+):
+    training = training_of(
+        "evolution.experience_share=1.0",
+        f"evolution.updates_for_shared={updates_for_shared}",
+    )
+    learner, settings = training.agent.learner, training.agent.learner.config
+    batches = iter(training.agent.collector)
+    for _ in range(2):
+        learner.learn(next(batches))
+    made, held = learner.num_updates, len(learner.buffer)
+    training.evolution.evaluator = ScriptedEvaluator(2)
+    training.evolution.evaluate()
+    shared = len(learner.buffer) - held
+    assert shared > settings.frames_per_batch
+    for _ in range(2):
+        learner.learn(next(batches))
+    per_step = settings.updates_per_batch / settings.frames_per_batch
+    more = int(shared * per_step) if updates_for_shared else 0
+    assert learner.num_updates - made == 2 * settings.updates_per_batch + more
 
 
 @pytest.mark.parametrize("winner", [0, 2])

@@ -58,6 +58,7 @@ class ScriptedEvaluator:
         returns = torch.zeros(count) if self.returns is None else torch.tensor(self.returns)
         return TensorDict(
             fitness=scores,
+            success_rate=scores / 10.0,
             return_mean=returns,
             frames=torch.full((count,), self.frames),
             batch_size=[count],
@@ -95,6 +96,7 @@ def hook_of(
         hand_over_of(settings, actor, optimizer=optimizer, critic=critic),
         watch=EpisodeWatch(settings.window_episodes),
         period_episodes=settings.period_episodes,
+        rate_of=settings.rate_of,
         on_evaluation=on_evaluation,
     )
 
@@ -196,6 +198,77 @@ def test_mutation_follows_the_success_of_the_window(actor):
     assert hook.evaluate().mut_p == 0.1
     hook.watch.observe(batch_of("2-4", "3+5"))
     assert hook.evaluate().mut_p == 0.4
+
+
+def test_mutation_may_follow_the_agents_copy_in_the_last_contest(actor):
+    script = [9.0, 0.0, 0.0], [5.0, 10.0, 0.0], [1.0, 0.0, 0.0]
+    hook = hook_of(actor, ScriptedEvaluator(*script), rate_of="contest")
+    hook.watch.observe(batch_of("0+2", "1+3"))
+    # Nothing is known at first; a child that wins does not count.
+    assert [hook.evaluate().mut_p for _ in range(3)] == [0.75, 0.1, 0.4]
+    other = hook_of(actor, ScriptedEvaluator(*script), rate_of="contest")
+    other.load_state_dict(hook.state_dict())
+    assert other.evaluate().mut_p == 0.75, "0.1 in the last contest"
+
+
+@pytest.mark.parametrize("kind", ["q_value", "distributional"])
+def test_a_switch_says_how_far_it_moves_the_values(kind, actor_of):
+    actor = actor_of(kind)
+    hook = hook_of(actor, ScriptedEvaluator(CHILD_WINS, PARENT_WINS))
+    rows = TensorDict(observation=torch.rand(4, 5, 3), batch_size=[4, 5])
+    hook.value_shift.observe(rows)
+
+    @torch.no_grad()
+    def values():
+        return actor(rows.select("observation").clone())["action_value"]
+
+    def expected(shown):
+        # Of a distribution over returns, the mean.
+        return shown if kind == "q_value" else shown.softmax(-2).movedim(-2, -1) @ support
+
+    support = getattr(actor, "support", None)
+    before = expected(values())
+    found = hook.evaluate()
+    after = expected(values())
+    spread = before.std()
+    assert found.switched
+    assert found.value_shift == pytest.approx(
+        float((after - before).square().mean().sqrt() / spread), rel=1e-4
+    )
+    assert found.value_shift > 0.0
+    assert hook.evaluate().value_shift is None, "no switch, no shift"
+
+
+def test_a_policy_without_values_has_no_shift(actor):
+    hook = hook_of(actor, ScriptedEvaluator(CHILD_WINS))
+    hook.value_shift.observe(TensorDict(observation=torch.rand(4, 5, 3), batch_size=[4, 5]))
+    found = hook.evaluate()
+    assert found.switched
+    assert found.value_shift is None
+
+
+@pytest.mark.parametrize("part", ["head", "advantage"])
+def test_only_a_part_mutates_if_asked_for(part, actor_of):
+    actor = actor_of("distributional")
+    settings = EvolutionConfig(genome=part, rates=[1.0, 1.0, 1.0])
+    genome = genome_of(actor)
+    brood = breeding_of(settings, actor)(
+        genome, None, generator=torch.Generator().manual_seed(0)
+    )
+    changed = {
+        ".".join(path)
+        for path, leaf in brood.genomes.items(True, True)
+        if (leaf != genome[path]).any()
+    }
+    stream = {".".join(path) for path in genome.keys(True, True) if "advantage" in path}
+    assert changed == stream if part == "advantage" else changed < stream
+    assert changed
+
+
+def test_a_part_that_a_policy_has_not_is_refused(actor):
+    breeding = breeding_of(EvolutionConfig(genome="advantage"), actor)
+    with pytest.raises(ValueError, match="genome='advantage': the policy has no stream"):
+        breeding(genome_of(actor), None, generator=torch.Generator())
 
 
 def test_the_window_survives_a_switch(actor):

@@ -308,6 +308,25 @@ def test_random_exploration_varies_between_copies_of_a_member(
     assert returns[0] != returns[1]
 
 
+def test_members_that_sample_depend_on_the_episodes_alone(
+    actor_of, population_of, evaluator_for
+):
+    actor = actor_of("tanh_normal")
+    population, seeds = population_of(actor, 2), torch.tensor([3, 4])
+    evaluator = evaluator_for(
+        actor, 2, num_episodes=2, exploration_type=ExplorationType.RANDOM
+    )
+    found = []
+    for number in range(2):
+        torch.manual_seed(number)
+        before = torch.get_rng_state()
+        found.append(evaluator.evaluate(population, seeds=seeds)["returns"])
+        assert (torch.get_rng_state() == before).all(), "no draw of others changes"
+    assert (found[0] == found[1]).all()
+    greedy = evaluator_for(actor, 2, num_episodes=2)
+    assert (greedy.evaluate(population, seeds=seeds)["returns"] != found[0]).any()
+
+
 # Bad input
 
 
