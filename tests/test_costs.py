@@ -10,8 +10,6 @@ import tracemalloc
 
 import pytest
 import torch
-from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import make_task, simulate
 from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
@@ -19,7 +17,6 @@ from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
-from gdrl_torchrl.evolution.population.actor import PopulationActor
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
@@ -157,18 +154,6 @@ def test_calls_per_step_of_a_simulation_do_not_grow_with_worlds(name):
         return calls_of(lambda: simulation.step(action))
 
     assert calls(50) == calls(5)
-
-
-def test_a_policy_of_bounds_alike_is_traced_whole():
-    config = load_experiment(["experiment=gppo_water"])
-    actor = make_actor(make_task("water"), config.network, config.algorithm)
-    population = PopulationActor(actor)
-    population.load(stack_copies(genome_of(actor), 2))
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        population.bind(TensorDict(observation=torch.rand(2, 5, 3), batch_size=[2, 5]))
-    [graph] = population._graphs.graphs.values()
-    assert graph is not None
-    assert graph.num_operations <= 18
 
 
 def test_help_imports_no_torch():
