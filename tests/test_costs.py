@@ -71,7 +71,7 @@ def test_calls_per_step_of_collection(training):
 
 def test_operations_of_an_acting_policy(training):
     next(iter(training.agent.collector))
-    [graph] = training.agent.collector._traced._graphs.values()
+    [graph] = training.agent.collector.traced_policy.graphs.values()
     assert graph.num_operations <= {"indoor": 19, "water": 25}[training.task.name]
 
 
@@ -90,8 +90,8 @@ def test_operations_and_calls_of_an_update(training):
 
     for _ in range(2):
         update()
-    [kind] = learner.update._loss._traced.values()
-    assert kind.graph.num_operations <= {"indoor": 140, "water": 130}[training.task.name]
+    [graph] = learner.update.traced_loss.graphs
+    assert graph.num_operations <= {"indoor": 140, "water": 130}[training.task.name]
     assert calls_of(update) < {"indoor": 1500, "water": 900}[training.task.name]
 
 

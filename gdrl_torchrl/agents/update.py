@@ -80,7 +80,7 @@ class Update:
         minimised = [name for name in names if name.startswith("loss")]
         self.means = Means([*minimised, "grad_norm", *diagnostics, *noted])
         # What nobody reads is not computed: in most updates, diagnostics.
-        self._loss = TracedLoss(loss, self._parameters, diagnostics=[])
+        self.traced_loss = TracedLoss(loss, self._parameters, diagnostics=[])
         self._diagnosed = TracedLoss(loss, self._parameters, diagnostics=diagnostics)
 
     def __call__(self, batch: TensorDictBase, *, diagnose: bool = False) -> TensorDict:
@@ -98,7 +98,7 @@ class Update:
             NonFiniteUpdateError: If a loss or a gradient is not finite, unless such
                 updates are skipped, or a parameter is not.
         """
-        loss = self._diagnosed if diagnose else self._loss
+        loss = self._diagnosed if diagnose else self.traced_loss
         losses = loss.backward(batch)
         gradients = [p.grad for p in self._parameters if p.grad is not None]
         with torch.no_grad():

@@ -85,6 +85,11 @@ class TracedLoss:
             self._traced[key] = _Traced(self, batch)
         return self._traced[key](batch)
 
+    @property
+    def graphs(self) -> list[TracedFunction | None]:
+        """Of each kind of minibatches so far; None where tracing failed."""
+        return [traced.graph for traced in self._traced.values()]
+
     def _signature(self, batch: TensorDictBase) -> Any:
         """What the operations depend on, except numbers and types of entries."""
         following = batch.get("next", None)

@@ -54,7 +54,8 @@ class TracedPolicy:
         self.in_keys = list(policy.in_keys)
         self.out_keys = list(out_keys)
         self._attributes = plain_attributes(policy.modules())
-        self._graphs: dict[Any, TracedFunction | None] = {}
+        self.graphs: dict[Any, TracedFunction | None] = {}
+        """Of each kind of inputs so far; None where tracing failed."""
 
     @torch.no_grad()
     def bind(self, inputs: Tensors) -> Callable[..., Sequence[torch.Tensor]]:
@@ -74,10 +75,10 @@ class TracedPolicy:
             self._attributes(),
         )
         weights = self._weights()
-        if key not in self._graphs:
+        if key not in self.graphs:
             graph = trace(self._run, weights, inputs) if self.trace else None
-            self._graphs[key] = graph
-        graph = self._graphs[key]
+            self.graphs[key] = graph
+        graph = self.graphs[key]
         if graph is None:
             return lambda *inputs: self._run([], list(inputs))
         return graph.bind(weights)

@@ -56,7 +56,8 @@ _BUILT_IN = (
 
 
 @functools.cache
-def _registry() -> Offers:
+def registered_tasks() -> Offers:
+    """Built-in tasks and those of installed plugins, by name."""
     tasks = {task.name: task for task in _BUILT_IN}
     needs = tuple(field.name for field in dataclasses.fields(RegisteredTask))
     offers = offers_of(ENTRY_POINT_GROUP, needs=needs, taken=frozenset(tasks))
@@ -71,7 +72,9 @@ def task_names(tag: str | None = None) -> tuple[str, ...]:
         >>> "water" in task_names("continuous")
         True
     """
-    return tuple(n for n, task in _registry().items() if tag is None or tag in task.tags)
+    return tuple(
+        n for n, task in registered_tasks().items() if tag is None or tag in task.tags
+    )
 
 
 def make_task(name: str, **options: Any) -> NavigationTask:
@@ -91,7 +94,7 @@ def make_task(name: str, **options: Any) -> NavigationTask:
                 f"unknown option {option}={value!r} of task {name!r}; "
                 f"options are {sorted(known)}"
             )
-    registered = _registry()[name]
+    registered = registered_tasks()[name]
     return registered.make(registered.options(**options))
 
 
@@ -101,8 +104,8 @@ def task_options(name: str) -> type:
     Raises:
         ValueError: If the task is unknown.
     """
-    check_choice("task", name, _registry())
-    return _registry()[name].options
+    check_choice("task", name, registered_tasks())
+    return registered_tasks()[name].options
 
 
 def load(

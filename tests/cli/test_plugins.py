@@ -45,10 +45,10 @@ def broken_package(tmp_path):
 def importable(broken_package, monkeypatch):
     monkeypatch.syspath_prepend(str(broken_package))
     plugins.offers_of.cache_clear()
-    registry._registry.cache_clear()
+    registry.registered_tasks.cache_clear()
     yield
     plugins.offers_of.cache_clear()
-    registry._registry.cache_clear()
+    registry.registered_tasks.cache_clear()
 
 
 @pytest.fixture

@@ -134,7 +134,7 @@ def test_it_is_the_loss_bit_for_bit(make):
             assert gradient is None or torch.equal(parameter.grad, gradient)
         # The next minibatch meets other weights.
         optimizer.step()
-    assert all(kind.graph is not None for kind in traced._traced.values())
+    assert None not in traced.graphs
 
 
 def test_a_loss_that_looks_at_numbers_is_run_as_it_is():
@@ -146,7 +146,7 @@ def test_a_loss_that_looks_at_numbers_is_run_as_it_is():
     own = traced.backward(batch)
     assert own["loss_value"] == entries["loss_value"]
     assert torch.equal(parameters[0].grad, gradients[0])
-    assert [kind.graph for kind in traced._traced.values()] == [None]
+    assert traced.graphs == [None]
 
 
 def test_gradients_of_the_past_are_gone():
@@ -168,7 +168,7 @@ def test_other_kinds_of_minibatches_are_other_graphs():
         rows = torch.rand(size, 3)
         own = traced.backward(TensorDict(observation=rows, batch_size=[size]))
         assert torch.equal(own["loss_value"], loss.network(rows).square().mean().detach())
-    assert len(traced._traced) == 2
+    assert len(traced.graphs) == 2
 
 
 def test_only_the_diagnostics_that_are_wanted_are_returned():

@@ -106,7 +106,7 @@ class NavigationCollector(EnvCollector):
                 "take TorchRL's Collector"
             )
         super().__init__(create_env_fn, policy, track_traj_ids=False, **options)
-        self._traced = TracedPolicy(policy, [keys.ACTION, *policy_keys], trace=trace)
+        self.traced_policy = TracedPolicy(policy, [keys.ACTION, *policy_keys], trace=trace)
 
     @torch.no_grad()
     def rollout(self) -> TensorDictBase:
@@ -119,7 +119,7 @@ class NavigationCollector(EnvCollector):
         outputs: list[Sequence[torch.Tensor]] = []
         observation = self._carrier.get(keys.OBSERVATION).numpy()
         with set_exploration_type(self.exploration_type):
-            act = self._traced.bind([torch.from_numpy(observation)])
+            act = self.traced_policy.bind([torch.from_numpy(observation)])
             for step in range(steps):
                 before.note(step, observation)
                 outputs.append(act(torch.from_numpy(observation)))
@@ -133,7 +133,7 @@ class NavigationCollector(EnvCollector):
         batch = before.tensordict()
         following = after.tensordict()
         following.set(keys.REWARD, torch.from_numpy(rewards))
-        chosen = zip(self._traced.out_keys, zip(*outputs, strict=True), strict=True)
+        chosen = zip(self.traced_policy.out_keys, zip(*outputs, strict=True), strict=True)
         for key, values in chosen:
             batch.set(key, torch.stack(values, dim=1))
         self._carrier = env.entries(observation, simulation.arrays)

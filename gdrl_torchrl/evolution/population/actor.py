@@ -27,7 +27,7 @@ from gdrl_torchrl.evolution.population.prepared import (
     acts_as_its_modules,
     prepared_run,
 )
-from gdrl_torchrl.fast.graph import Tensors
+from gdrl_torchrl.fast.graph import Tensors, TracedFunction
 from gdrl_torchrl.private_copy import fingerprint, private_copy
 
 _logger = logging.getLogger(__name__)
@@ -139,6 +139,11 @@ class PopulationActor:
         """Forget the members."""
         self._all = self._params = self._members = None
         self._graphs.unbind()
+
+    @property
+    def graphs(self) -> dict[Any, TracedFunction | None]:
+        """Of each kind of rows so far; None where tracing failed."""
+        return self._graphs.graphs
 
     def acts_row_by_row(self, rows: TensorDictBase) -> bool:
         """Whether each row's action depends on that row and the weights alone.

@@ -110,10 +110,10 @@ def replayed_moments(
                 suite_task: Any = environment.task
                 suite_task.next_episode_seed = seed
             steps = int(film.trajectories["steps"][episode])
-            replay = _replay(played, film.trajectories["action"][:steps, episode])
+            replay = replay_of(played, film.trajectories["action"][:steps, episode])
             shown.reset()
             for moment in film.moments(episode):
-                _pose(shown, replay, float(moment))
+                pose(shown, replay, float(moment))
                 yield shown
     finally:
         played.close()
@@ -121,7 +121,7 @@ def replayed_moments(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Replay:
+class Replay:
     """States of an episode after every substep, and the task's arrays after every step."""
 
     time_s: np.ndarray
@@ -130,7 +130,7 @@ class _Replay:
     arrays: list[dict[str, np.ndarray]]
 
 
-def _replay(environment: Any, actions: np.ndarray) -> _Replay:
+def replay_of(environment: Any, actions: np.ndarray) -> Replay:
     """Run an episode of a dm_control environment and note all of its states."""
     physics, task = environment.physics, environment.task
     timestep = environment.reset()
@@ -154,10 +154,10 @@ def _replay(environment: Any, actions: np.ndarray) -> _Replay:
     finally:
         del physics.step
     time_s, qpos = zip(*states, strict=True)
-    return _Replay(np.array(time_s), np.array(qpos), num_substeps, arrays)
+    return Replay(np.array(time_s), np.array(qpos), num_substeps, arrays)
 
 
-def _pose(environment: Any, replay: _Replay, moment: float) -> None:
+def pose(environment: Any, replay: Replay, moment: float) -> None:
     """Put an environment where a replayed one was at a moment, in control steps."""
     physics = environment.physics
     model, data = physics.model.ptr, physics.data.ptr

@@ -30,7 +30,7 @@ def find_gl_backend() -> tuple[str | None, str]:
     """
     reasons = []
     for candidate in _candidates():
-        problem = _probe(candidate)
+        problem = problem_with(candidate)
         if problem is None:
             return candidate, ""
         reasons.append(f"MUJOCO_GL={candidate}: {problem}")
@@ -50,7 +50,7 @@ def _candidates() -> tuple[str, ...]:
 
 
 @functools.cache
-def _probe(backend: str) -> str | None:
+def problem_with(backend: str) -> str | None:
     """Why dm_control cannot render with a backend, or None if it can."""
     if backend in _SWITCHED_OFF:
         return "rendering is switched off"

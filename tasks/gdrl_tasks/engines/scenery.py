@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import mujoco
+import numpy as np
 
 LARGEST_PICTURE = (3840, 2160)
 """Width and height, pixels, of the largest picture that :func:`make_room` allows."""
@@ -14,6 +15,30 @@ PAINTED = "painted"
 """Prefix of the names of textures that a task paints for every picture, at any size."""
 VISIBLE_ONLY = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0.0}
 """Group of geoms that touch nothing, weigh nothing and are not seen by a lidar."""
+
+Colour = tuple[float, float, float]
+
+
+def add_sky(spec: mujoco.MjSpec, zenith: Colour, nadir: Colour, *, width: int) -> None:
+    """Add a sky and a haze of its colour at the horizon.
+
+    Args:
+        spec: The model.
+        zenith: Red, green and blue straight above, 0 to 1.
+        nadir: The same straight below.
+        width: Columns of a face of the sky's cube, pixels.
+    """
+    # Any other colour at the horizon would give a stripe.
+    spec.visual.rgba.haze = [*(0.5 * (np.array(zenith) + nadir)), 1.0]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=zenith,
+        rgb2=nadir,
+        width=width,
+        height=6 * width,
+    )
 
 
 def without_scenery(xml: str) -> mujoco.MjModel:

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gdrl_tasks.engines.scenery import USUAL_PICTURE, VISIBLE_ONLY
+from gdrl_tasks.engines.scenery import USUAL_PICTURE, VISIBLE_ONLY, add_sky
 from gdrl_tasks.indoor.lidar import FARTHEST_M
 
 _VERMILION = [0.9, 0.33, 0.05, 1.0]
@@ -60,17 +60,7 @@ def add_room_looks(
     visual.map.zfar = 40.0
     # The corners of the arena, seen from the light.
     visual.map.shadowclip = 1.02 * math.hypot(*half_extent_m) / max(half_extent_m)
-    # The sky's colour at the horizon: any other colour would give a stripe.
-    visual.rgba.haze = [*(0.5 * (np.array(_ZENITH) + _NADIR)), 1.0]
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=_ZENITH,
-        rgb2=_NADIR,
-        width=64,
-        height=384,
-    )
+    add_sky(spec, _ZENITH, _NADIR, width=64)
     spec.add_texture(
         name="tiles",
         type=mujoco.mjtTexture.mjTEXTURE_2D,

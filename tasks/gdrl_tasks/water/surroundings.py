@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 
-from gdrl_tasks.engines.scenery import PAINTED, USUAL_PICTURE, VISIBLE_ONLY
+from gdrl_tasks.engines.scenery import PAINTED, USUAL_PICTURE, VISIBLE_ONLY, add_sky
 
 SEA_TEXTURE = f"{PAINTED}_sea"
 SEA_PIXELS = 768
@@ -75,18 +75,7 @@ def add_surroundings(
     visual.map.zfar = 8000.0 / farthest_goal_m
     visual.map.shadowclip = _SHADOW_REACH_M / farthest_goal_m
     visual.map.haze = 0.5
-    # The sky's colour at the horizon: any other colour would give a stripe.
-    horizon = 0.5 * (np.array(_ZENITH) + _NADIR)
-    visual.rgba.haze = [*horizon, 1.0]
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=_ZENITH,
-        rgb2=_NADIR,
-        width=128,
-        height=768,
-    )
+    add_sky(spec, _ZENITH, _NADIR, width=128)
     _add_sea(spec)
     fovy = 45.0
     height = (farthest_goal_m + 1.0) / math.tan(0.5 * math.radians(fovy))

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
+from gdrl_torchrl.agents.rainbow.replay_state import buffer_state
 from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
@@ -117,7 +118,7 @@ def test_an_update_moves_agent_target_priorities_and_beta(training_of):
         assert torch.allclose(loss.target_value_network_params.get(key), expected)
     assert moved > 4
     assert learner.buffer.sampler.beta == pytest.approx(0.5)
-    tree = torch.as_tensor(learner.buffer.sampler._sum_tree[batch["index"]])
+    tree = buffer_state(learner.buffer)["priorities"][batch["index"]]
     alpha = learner.buffer.sampler.alpha
     last = {
         int(i): float(e) for i, e in zip(batch["index"], batch["td_error"], strict=True)
@@ -260,7 +261,7 @@ def test_a_switch_moves_the_target_and_shares_experience(winner, training_of):
         first = rows["observation"][:, 0] - 1000.0
         horizon = (20.0 - first % 20.0).clamp(max=3.0)
         assert (rows["steps_to_next_obs"][:, 0] == horizon).all(), "whole episodes first"
-        leaves = torch.as_tensor(learner.buffer.sampler._sum_tree[shared.nonzero()[:, 0]])
+        leaves = buffer_state(learner.buffer)["priorities"][shared]
         assert leaves.max() < 10.0, "stale priorities are dropped"
 
 

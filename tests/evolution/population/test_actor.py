@@ -188,8 +188,8 @@ def test_a_traced_part_gives_what_the_modules_give(actor_kind, actor_of, populat
             assert mine.keys() == other.keys()
             for key, value in mine.items():
                 assert torch.equal(value, other[key]), key
-    assert all(graph is not None for graph in traced._graphs.graphs.values())
-    assert len(traced._graphs.graphs) == 4, "a graph a shape, whatever the members"
+    assert all(graph is not None for graph in traced.graphs.values())
+    assert len(traced.graphs) == 4, "a graph a shape, whatever the members"
 
 
 def test_what_does_not_evolve_is_read_anew_at_every_load(actor_of, population_of):
@@ -230,7 +230,7 @@ def test_parts_on_threads_act_as_the_whole_does(parts, actor_kind, actor_of, pop
                 assert torch.equal(same[1], finite)
     # TorchRL's head of distributions cannot be traced: the whole acts then.
     if actor_kind != "distributional":
-        assert None not in population._graphs.graphs.values()
+        assert None not in population.graphs.values()
 
 
 def test_parts_mark_a_member_that_is_not_finite(actor_kind, actor_of, population_of):
@@ -264,7 +264,7 @@ def test_a_random_policy_stays_random():
     one, other = (population(rows.clone())["action"] for _ in range(2))
     assert (one != other).all()
     assert (one[:2] != one[2:]).all(), "members draw numbers of their own"
-    assert None not in population._graphs.graphs.values()
+    assert None not in population.graphs.values()
     inputs = rows.reshape(2, 2)
 
     def draw(run_all):

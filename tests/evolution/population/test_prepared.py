@@ -75,7 +75,7 @@ def act(population, **options):
     """Actions, whether they are numbers, and whether it took a graph to find them."""
     shown = inputs()
     action, finite = population.bind(shown, **options)([shown["observation"]])
-    return action, finite, bool(population._graphs.graphs)
+    return action, finite, bool(population.graphs)
 
 
 def alone(member_of, actor, genomes):

@@ -72,7 +72,7 @@ def test_replay_for_a_film_has_the_recorded_states_bit_for_bit(name: str) -> Non
     for environment in (noted, plain):
         environment.task.next_episode_seed = 5
 
-    replay = frames_of._replay(noted, actions)
+    replay = frames_of.replay_of(noted, actions)
 
     count = task.spec.num_substeps
     assert len(replay.qpos) == steps * count + 1
@@ -95,11 +95,11 @@ def test_frames_between_substeps_lie_between_their_states(name: str) -> None:
     recorded = record_trajectories(task, CONTROLLERS[name], [5], num_threads=1)
     played, shown = make_environment(task), make_environment(task)
     played.task.next_episode_seed = shown.task.next_episode_seed = 5
-    replay = frames_of._replay(played, recorded["action"][:, 0])
+    replay = frames_of.replay_of(played, recorded["action"][:, 0])
     shown.reset()
     count = task.spec.num_substeps
 
-    frames_of._pose(shown, replay, 2.25 / count)
+    frames_of.pose(shown, replay, 2.25 / count)
 
     data = shown.physics.data
     before, after = replay.qpos[2], replay.qpos[3]

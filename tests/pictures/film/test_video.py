@@ -122,11 +122,11 @@ print(write_video(task, act, {SEEDS}, {str(path)!r}, **size))
 
 
 def test_backend_that_is_not_there_is_found_out_in_another_process() -> None:
-    problem = gl_backend._probe("no-such-backend")
+    problem = gl_backend.problem_with("no-such-backend")
 
     assert problem is not None
     assert "MUJOCO_GL" in problem
-    assert gl_backend._probe("disable") == "rendering is switched off"
+    assert gl_backend.problem_with("disable") == "rendering is switched off"
 
 
 def test_backend_chosen_by_the_user_is_the_only_one_tried(
@@ -134,7 +134,7 @@ def test_backend_chosen_by_the_user_is_the_only_one_tried(
 ) -> None:
     tried = []
     monkeypatch.delitem(sys.modules, "dm_control._render", raising=False)
-    monkeypatch.setattr(gl_backend, "_probe", lambda name: tried.append(name) or "no")
+    monkeypatch.setattr(gl_backend, "problem_with", lambda name: tried.append(name) or "no")
 
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     assert gl_backend.find_gl_backend() == (None, "MUJOCO_GL=osmesa: no")

@@ -323,9 +323,10 @@ def damage(path):
 
 @pytest.mark.parametrize("keep", [1, 2])
 def test_a_damaged_newest_checkpoint_displaces_no_good_one(keep, tmp_path):
-    first = Checkpoints(tmp_path, State(content_of(10)), IDENTITY, keep=9)
+    state = State(content_of(10))
+    first = Checkpoints(tmp_path, state, IDENTITY, keep=9)
     for step in (10, 20, 90):
-        first._state.content = content_of(step)
+        state.content = content_of(step)
         newest = first.save(step)
     damage(newest)
     state = State()
