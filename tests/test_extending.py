@@ -62,6 +62,7 @@ def test_its_operator_algorithm_and_task_train_together(command):
     assert json.loads(evaluated.stdout)["episodes"] == 4
 
 
+@pytest.mark.full
 def test_the_commands_of_its_readme_train_one_run_each(command):
     text = (ROOT / "examples" / "extending" / "README.md").read_text()
     lines = re.findall(r"^gdrl-train (.+)$", text, re.MULTILINE)
@@ -75,6 +76,7 @@ def test_the_commands_of_its_readme_train_one_run_each(command):
     assert len(runs) == len(lines)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("override", "said"),
     [("task.width_m=50", "width_m=50"), ("algorithm.num_worlds=3", "frames_per_batch=256")],
@@ -85,6 +87,7 @@ def test_its_options_are_checked_as_ours(override, said, command):
     assert said in refused.stderr
 
 
+@pytest.mark.full
 def test_its_parts_go_with_ours(command):
     for overrides in (
         ("experiment=gppo_water", "evolution=cauchy"),

@@ -13,13 +13,20 @@ import pytest
 SCRIPTS = sorted((Path(__file__).parents[1] / "notebooks_py").glob("*.py"))
 SMALL = {"GDRL_SMOKE": "1", "GDRL_FRAMES": "1000"}
 TRAINING = {"02_sac_on_dm_control", "03_ppo_on_gymnasium", "04_dqn_on_cartpole"}
+LONG = {"02_sac_on_dm_control", "03_ppo_on_gymnasium"}
 
 
 def test_there_are_notebooks():
     assert {"01_population_evaluator", *TRAINING} <= {path.stem for path in SCRIPTS}
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(path, marks=[pytest.mark.full] * (path.stem in LONG), id=path.stem)
+        for path in SCRIPTS
+    ],
+)
 def test_a_notebook_runs_from_anywhere(script, tmp_path):
     result = subprocess.run(
         [sys.executable, str(script)],

@@ -69,7 +69,7 @@ def test_a_mistake_is_told_in_a_line(module, arguments, said):
     assert said in line
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_film_is_made_of_a_run_with_a_line_of_progress(tmp_path):
     small = ("evaluation.episodes=2", "budget.total_steps=600", f"runs_dir={tmp_path}")
     trained = command("train", "experiment=gppo_water", "toy=true", *small)

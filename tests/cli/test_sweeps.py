@@ -133,7 +133,7 @@ def finished(folder):
     return [run / "DONE" for run in find_runs(folder) if (run / "DONE").exists()]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_path):
     # The second job is impossible, the others are not.
     axes = ("experiment=ppo_water,grainbow_water", "task.actions=continuous", "seed=0,1,2")
@@ -180,7 +180,7 @@ def test_jobs_in_other_processes_tell_their_directories_and_their_errors(tmp_pat
     assert not list(tmp_path.rglob(".jobs"))
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_run_that_another_process_holds_is_passed_over(tmp_path):
     axes = ("experiment=ppo_water", "seed=0,1")
     overrides = [axes[0], "seed=0", *SMALL, f"runs_dir={tmp_path}"]
@@ -198,7 +198,7 @@ def test_a_run_that_another_process_holds_is_passed_over(tmp_path):
     assert [Path(line).name for line in printed.split()] == ["seed_0", "seed_1"]
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_same_sweep_in_many_processes_is_a_queue(tmp_path):
     axes = ("experiment=ppo_water", "seed=0,1,2,3")
     jobs = [sweep(tmp_path, *axes) for _ in range(2)]

@@ -104,7 +104,7 @@ def test_a_closed_terminal_saves_a_run(tmp_path, options_of):
     assert len(list((run / "checkpoints").iterdir())) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_jobs_that_change_their_folder_have_their_runs_where_they_say(tmp_path):
     done = subprocess.run(
         [

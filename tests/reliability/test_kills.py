@@ -133,7 +133,7 @@ def check_chain(tmp_path, options_of, rows_of, evaluation_of):
     return check
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_killed_run_ends_as_one_that_was_not(check_chain):
     check_chain("grainbow_indoor", 2)
 

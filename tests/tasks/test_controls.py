@@ -117,6 +117,7 @@ def test_far_goals_are_harder():
     assert 0.85 <= success_rate("water", chase, difficulty="far") < 0.98
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("arena", ["paper", "scatter"])
 @pytest.mark.parametrize("policy_of", [untrained_q_networks, anything])
 def test_who_has_learnt_nothing_fails_indoors(arena, policy_of):
@@ -127,11 +128,15 @@ def test_the_blocks_stop_who_only_pursues_the_goal():
     assert 0.2 <= success_rate("indoor", chase_by_turning) <= 0.6
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize(
+    "arena",
+    ["paper", *(pytest.param(a, marks=pytest.mark.full) for a in ("scatter", "corridor"))],
+)
 def test_a_planner_shows_that_every_arena_can_be_solved(arena):
     assert success_rate("indoor", plan, arena=arena) >= 0.95
 
 
+@pytest.mark.full
 def test_the_small_goal_and_the_real_wheels_leave_it_solvable():
     options = {"goal_tolerance_m": 0.05, "wheel_speed_limit": "burger"}
     assert success_rate("indoor", plan, **options) >= 0.95

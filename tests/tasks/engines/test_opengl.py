@@ -66,14 +66,21 @@ def reason_not_to_use(backend):
     return f"MUJOCO_GL={backend} does not render here: {done.stderr.strip()[-200:]}"
 
 
-@pytest.mark.slow
+CASES = [
+    *((order, "egl") for order in ORDERS),
+    # Mesa's software driver without a screen, and none: the order that ends in torch, and
+    # the one that begins with it.
+    *itertools.product(("suite first", "torch, then suite"), ("osmesa", "disable")),
+]
+ALWAYS = [("suite first", "egl"), ("torch, then suite", "egl"), ("suite first", "disable")]
+"""Those that failed before, each in its own way; the others take a minute."""
+
+
 @pytest.mark.parametrize(
     ("order", "backend"),
     [
-        *((order, "egl") for order in ORDERS),
-        # Mesa's software driver without a screen, and none: the order that ends in
-        # torch, and the one that begins with it.
-        *itertools.product(("suite first", "torch, then suite"), ("osmesa", "disable")),
+        pytest.param(*case, marks=[pytest.mark.full] * (case not in ALWAYS))
+        for case in CASES
     ],
 )
 def test_any_order_of_imports_loads_a_task_and_draws_it(order, backend):

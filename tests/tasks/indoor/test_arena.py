@@ -202,9 +202,9 @@ def drive_at_random(count, steps, **options):
         (24, 200, {"arena": "scatter"}),
         (24, 200, {"arena": "corridor", "speed_m_s": 0.20, "scan_hold": True}),
         (24, 200, {"actions": "continuous", "range_noise": True}),
-        pytest.param(60, 2000, {}, marks=pytest.mark.slow),
+        pytest.param(60, 2000, {}, marks=pytest.mark.full),
         pytest.param(
-            60, 2000, {"arena": "scatter", "speed_m_s": 0.20}, marks=pytest.mark.slow
+            60, 2000, {"arena": "scatter", "speed_m_s": 0.20}, marks=pytest.mark.full
         ),
     ],
     ids=str,
