@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from tensordict.utils import NestedKey
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_tasks import NavigationTask, Outcome, Stream, episode_seeds
@@ -114,7 +113,7 @@ def _held_out(
     backend: Backend,
     num_threads: int,
     on_divergence: OnDivergence,
-    extra_keys: Sequence[NestedKey] = (),
+    extra_keys: tuple[str, ...] = (),
 ) -> tuple[Any, Any]:
     """Scores ``[P]`` of policies that act greedily, and of those that sample."""
     worlds = min(config.num_worlds, config.episodes)

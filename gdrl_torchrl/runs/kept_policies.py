@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -66,7 +66,8 @@ class KeptPolicies:
 
     def genomes(self) -> TensorDictBase:
         """All parameters of the kept policies, ``[K]``, in the order of their marks."""
-        return torch.stack(self._genomes)
+        stacked: Any = torch.stack(cast(Any, self._genomes))
+        return stacked
 
     def state_dict(self) -> dict[str, Any]:
         """The policies so far, and the budget that their marks are of."""
