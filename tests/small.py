@@ -10,6 +10,7 @@ from typing import Any
 
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.schema import ExperimentConfig
+from gdrl_torchrl.config.study import Hypothesis, StudyConfig, StudyMethod
 from gdrl_torchrl.evolution.settings import ErlConfig
 
 EASY_WATER = {
@@ -111,3 +112,23 @@ def tiny_options(experiment: str, overrides: Iterable[str] = ()) -> list[str]:
     """Overrides that make a run of a second of an experiment with a genetic hook."""
     task = compose([f"experiment={experiment}"]).task.name
     return [*small_options(experiment), *easy_options(task), *TINY, *overrides]
+
+
+def toy_study(**options) -> StudyConfig:
+    """A study of two methods, one task and two seeds, whose runs take a second."""
+    return StudyConfig(
+        **{
+            "name": "toy",
+            "tasks": {"easy": ["task=water", "task.sea=calm"]},
+            "methods": {
+                "gppo": StudyMethod(["easy"], tiny_options("gppo_water")),
+                "ppo": StudyMethod(["easy"], tiny_options("ppo_water")),
+            },
+            "total_steps": {"easy": 400},
+            "seeds": [3, 4],
+            "num_policies": 4,
+            "episodes": 3,
+            "hypotheses": [Hypothesis("better", "easy", "gppo", "ppo", "greater")],
+            **options,
+        }
+    )

@@ -69,6 +69,11 @@ def check_relations(config: ExperimentConfig, task: NavigationTask) -> None:
             f"evolution.updates_for_shared=True must be False with {label}, which replays "
             "no experience"
         )
+    if config.evaluation.num_policies and config.budget.total_steps is None:
+        raise ValueError(
+            f"evaluation.num_policies={config.evaluation.num_policies} needs "
+            "budget.total_steps, at equal steps of which they are kept"
+        )
     if config.task.backend == "dm_control" and config.seed > _MOST_DM_CONTROL_SEED:
         raise ValueError(
             f"seed={config.seed} must be <= {_MOST_DM_CONTROL_SEED} with "

@@ -68,6 +68,9 @@ class EvaluationConfig:
     """Seed of the held-out worlds: the same worlds for runs of all seeds."""
     num_worlds: int = within(100, least=1, most=MOST_WORLDS)
     """Worlds that are simulated at a time."""
+    num_policies: int = within(0, least=0, most=1000)
+    """Policies that are kept at equal steps of budget.total_steps and evaluated too, for a
+    curve of held-out success."""
 
     def __post_init__(self) -> None:
         check_fields(self, "evaluation")

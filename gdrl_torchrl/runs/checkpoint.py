@@ -41,11 +41,14 @@ class TrainingState:
     Args:
         training: The objects.
         counters: A further part with ``state_dict`` and ``load_state_dict``.
+        policies: Another one, if the run keeps policies.
     """
 
-    def __init__(self, training: Training, counters: Any) -> None:
+    def __init__(
+        self, training: Training, counters: HasState, policies: HasState | None = None
+    ) -> None:
         self.training = training
-        self.counters = counters
+        self.counters, self.policies = counters, policies
 
     def _parts(self) -> dict[str, HasState]:
         """Those that there are, by name, in the order in which they are restored."""
@@ -59,6 +62,7 @@ class TrainingState:
             "evolution": training.evolution,
             "loop": training.loop,
             "counters": self.counters,
+            "policies": self.policies,
             "collector": agent.collector,
         }
         return {name: part for name, part in parts.items() if part is not None}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -19,6 +19,7 @@ from gdrl_torchrl.envs.make import Backend, OnDivergence, make_env
 from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.private_copy import private_copy
+from gdrl_torchrl.runs.kept_policies import KeptPolicies
 
 
 def evaluate_policy(
@@ -46,28 +47,12 @@ def evaluate_policy(
         Rates of each outcome, SPL and means per episode, by the names that
         ``evaluation.json`` uses: of the greedy policy, but for ``success_rate_sampled``.
     """
-    worlds = min(config.num_worlds, config.episodes)
-    evaluator = PopulationEvaluator(
-        actor,
-        num_episodes=config.episodes,
-        create_env_fn=lambda: make_env(
-            task,
-            worlds,
-            backend=backend,
-            num_threads=num_threads,
-            seed=0,  # of no episode: each is given its own
-            on_divergence=on_divergence,
-        ),
+    genome = stack_copies(genome_of(actor), 1)
+    results = _held_out(
+        *(task, actor, genome, config, backend, num_threads, on_divergence),
         extra_keys=(keys.PATH_LENGTH, keys.SHORTEST_PATH),
     )
-    try:
-        seeds = torch.from_numpy(held_out_seeds(config))
-        genome = stack_copies(genome_of(actor), 1)
-        result: Any = evaluator.evaluate(genome, seeds=seeds).squeeze(0)
-        evaluator.exploration_type = ExplorationType.RANDOM
-        sampled: Any = evaluator.evaluate(genome, seeds=seeds)[keys.SUCCESSES]
-    finally:
-        evaluator.close()
+    result, sampled = results[0].squeeze(0), results[1][keys.SUCCESSES]
     outcome = result[keys.OUTCOMES].numpy()
     path = result[keys.PATH_LENGTH].numpy().astype(np.float64)
     shortest = result[keys.SHORTEST_PATH].numpy().astype(np.float64)
@@ -91,6 +76,67 @@ def evaluate_policy(
         "time_s_mean": float(np.mean(time_s)),
         "speed_m_s_mean": float(path.sum() / time_s.sum()),
     }
+
+
+def evaluate_kept(
+    task: NavigationTask,
+    actor: TensorDictModuleBase,
+    kept: KeptPolicies,
+    config: ExperimentConfig,
+    *,
+    on_divergence: OnDivergence = None,
+) -> list[dict[str, float]]:
+    """Run policies that a run has kept on the held-out worlds, in both modes.
+
+    Nothing of it is fed back to the run, and its steps are in no count of costs.
+
+    Returns:
+        What each had cost, its number from 1, ``success_rate`` (greedy) and
+        ``success_rate_sampled``.
+    """
+    results = _held_out(
+        *(task, actor, kept.genomes(), config.evaluation, config.task.backend),
+        *(config.simulation.num_threads, on_divergence),
+    )
+    rates = [result[keys.SUCCESSES].double().mean(dim=-1).tolist() for result in results]
+    return [
+        {"point": i + 1, **point, "success_rate": greedy, "success_rate_sampled": sampled}
+        for i, (point, greedy, sampled) in enumerate(zip(kept.points, *rates, strict=True))
+    ]
+
+
+def _held_out(
+    task: NavigationTask,
+    actor: TensorDictModuleBase,
+    genomes: TensorDictBase,
+    config: EvaluationConfig,
+    backend: Backend,
+    num_threads: int,
+    on_divergence: OnDivergence,
+    extra_keys: tuple[str, ...] = (),
+) -> tuple[Any, Any]:
+    """Scores ``[P]`` of policies that act greedily, and of those that sample."""
+    worlds = min(config.num_worlds, config.episodes)
+    evaluator = PopulationEvaluator(
+        actor,
+        num_episodes=config.episodes,
+        create_env_fn=lambda: make_env(
+            task,
+            worlds,
+            backend=backend,
+            num_threads=num_threads,
+            seed=0,  # of no episode: each is given its own
+            on_divergence=on_divergence,
+        ),
+        extra_keys=extra_keys,
+    )
+    seeds = torch.from_numpy(held_out_seeds(config))
+    try:
+        greedy = evaluator.evaluate(genomes, seeds=seeds)
+        evaluator.exploration_type = ExplorationType.RANDOM
+        return greedy, evaluator.evaluate(genomes, seeds=seeds)
+    finally:
+        evaluator.close()
 
 
 def held_out_seeds(config: EvaluationConfig) -> np.ndarray:

@@ -144,6 +144,9 @@ def run_key(config: ExperimentConfig) -> str:
     # Options of the evolution do not matter when there is none.
     if not content["evolution"]["enabled"]:
         content["evolution"] = {"enabled": False}
+    # A run that has kept no policies cannot go on as one that keeps some.
+    if config.evaluation.num_policies:
+        content["num_policies"] = config.evaluation.num_policies
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 

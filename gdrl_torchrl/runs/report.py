@@ -13,6 +13,7 @@ from torchrl.record.loggers import Logger
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.evolution.operators.genome import install
 from gdrl_torchrl.files.directory import RunDirectory
+from gdrl_torchrl.files.evaluation import CURVE_FILE
 from gdrl_torchrl.files.faults import FaultFiles
 from gdrl_torchrl.files.policy import params_sha256, save_policy
 from gdrl_torchrl.files.safe_files import own_folder
@@ -21,11 +22,13 @@ from gdrl_torchrl.pictures.film.episodes import record_trajectories
 from gdrl_torchrl.pictures.film.video import write_video
 from gdrl_torchrl.runs.build import Training
 from gdrl_torchrl.runs.evaluate import (
+    evaluate_kept,
     evaluate_policy,
     evaluation_record,
     greedy_act,
     held_out_seeds,
 )
+from gdrl_torchrl.runs.kept_policies import KeptPolicies
 
 _logger = logging.getLogger(__name__)
 
@@ -71,8 +74,9 @@ def report_run(
     training: Training,
     faults: FaultFiles,
     costs: dict[str, Any],
+    kept: KeptPolicies | None = None,
 ) -> None:
-    """Held-out evaluation, figures, video and the policy itself."""
+    """Held-out evaluation, of kept policies too; figures, video and the policy itself."""
     task, actor = training.task, training.agent.actor
     result = training.evolution and training.evolution.final_genome()
     if result is not None:
@@ -91,6 +95,9 @@ def report_run(
     _logger.info(
         "held-out success %.3f over %d episodes", scores["success_rate"], scores["episodes"]
     )
+    if kept is not None and kept.points:
+        points = evaluate_kept(task, actor, kept, config, on_divergence=faults.note_world)
+        directory.write_json(CURVE_FILE, {"points": points})
     save_policy(directory.path / "final", actor, task, config.algorithm_label)
     seeds = held_out_seeds(config.evaluation)
     act = greedy_act(actor)

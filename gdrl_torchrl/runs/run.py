@@ -32,6 +32,7 @@ from gdrl_torchrl.runs.errors import (
     TrainingDivergedError,
     system_errors_named,
 )
+from gdrl_torchrl.runs.kept_policies import KeptPolicies
 from gdrl_torchrl.runs.monitor import RunMonitor, columns_of
 from gdrl_torchrl.runs.place import (
     RUN_VERSION,
@@ -146,9 +147,9 @@ def _run(
     training = build_training(config, on_divergence=faults.note_world)
     try:
         with contextlib.closing(training):
-            costs = _train(directory, config, training, faults, signals)
+            costs, kept = _train(directory, config, training, faults, signals)
         with signals.ending_at_once():
-            report_run(directory, config, training, faults, costs)
+            report_run(directory, config, training, faults, costs, kept)
     except (NonFiniteUpdateError, NonFiniteBatchError) as error:
         batch = faults.note_update(error)
         raise TrainingDivergedError(error, directory, batch) from error
@@ -175,7 +176,8 @@ def _train(
     training: Training,
     faults: FaultFiles,
     signals: StopSignals,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], KeptPolicies | None]:
+    """What the run has cost in the end, and the policies that it has kept."""
     learner = training.agent.learner
     updates = () if learner is None else learner.updates
     table = MetricsTable(directory.metrics, columns_of(updates))
@@ -200,8 +202,11 @@ def _train(
             updates=updates,
             signals=signals,
         )
+        kept = _kept_policies(config, training, monitor)
+        if kept is not None:
+            kept.register(training.loop)
         monitor.register(training.loop)
-        state = TrainingState(training, monitor)
+        state = TrainingState(training, monitor, kept)
         checkpoints = Checkpoints(
             directory.checkpoints,
             state,
@@ -221,4 +226,20 @@ def _train(
             training.loop.train()
         if signals.received:
             raise StoppedError
-    return monitor.counters()
+    return monitor.counters(), kept
+
+
+def _kept_policies(
+    config: ExperimentConfig, training: Training, monitor: RunMonitor
+) -> KeptPolicies | None:
+    count, budget = config.evaluation.num_policies, config.budget.total_steps
+    if not count or budget is None:
+        return None
+    evolution = training.evolution
+    return KeptPolicies(
+        count,
+        budget,
+        training.agent.actor,
+        lambda: monitor.counters() | {"agent_episodes": training.watch.episodes_completed},
+        (lambda: None) if evolution is None else evolution.final_genome,
+    )

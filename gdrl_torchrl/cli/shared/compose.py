@@ -20,6 +20,7 @@ from gdrl_torchrl.cli.shared.errors import check_known, explained
 from gdrl_torchrl.cli.shared.names import CONFIG_MODULE
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.search import SearchConfig
+from gdrl_torchrl.config.study import StudyConfig
 from gdrl_torchrl.config.task import task_config_class
 from gdrl_torchrl.config.toy import as_toy
 from gdrl_torchrl.evolution.settings import EVOLUTIONS
@@ -54,6 +55,7 @@ def register_configs() -> None:
     for name, node in algorithm_configs().items():
         add(f"{name}_config", node, "algorithm")
     add("search_config", SearchConfig, "search")
+    add("study_config", StudyConfig, "study")
     add("network_config", schema.NetworkConfig, "network")
     for name, node in EVOLUTIONS.items():
         add(f"{name}_config", node, "evolution")
