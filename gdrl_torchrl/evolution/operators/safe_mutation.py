@@ -19,6 +19,8 @@ _SMALLEST, _LARGEST = 1e-6, 10.0
 """Root mean square changes of weights between which a child is looked for."""
 _TOLERANCE = 0.01
 """Relative error of a child's divergence."""
+_MOST_PASSES = 30
+"""Halvings of the range, should nothing faster work."""
 _FAR = 100.0
 """Logarithm that stands for a divergence that is no number."""
 
@@ -141,6 +143,7 @@ def safe_mutation(
         tuple(bounds),
         args=(everyone,),
         tolerances={"fatol": _TOLERANCE, "frtol": 0.0, "xatol": 0.0, "xrtol": 0.0},
+        maxiter=_MOST_PASSES,
     )
     met = torch.from_numpy(np.abs(root.f_x) <= _TOLERANCE)
 

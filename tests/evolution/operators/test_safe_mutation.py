@@ -76,7 +76,7 @@ def test_the_scale_of_a_linear_policy_is_the_one_in_closed_form(target):
     for child, direction in zip(found, directions, strict=True):
         change = np.sqrt(np.mean((rows @ direction.T) ** 2))
         factor = target * np.std(rows @ weights.T, ddof=1) / change
-        assert child - weights == pytest.approx(factor * direction, rel=0.01)
+        assert np.subtract(child, weights) == pytest.approx(factor * direction, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["tanh_normal", "q_value", "distributional"])
@@ -183,14 +183,26 @@ def test_where_all_outputs_are_the_same_children_stay(rows):
     assert (found["w"] == 1.0).all()
 
 
-def test_outputs_that_cannot_go_as_far_leave_the_parent():
-    def bounded(genome, observation):
-        return torch.tanh(genome["w"] * observation)
+def bounded(genome, observation):
+    return torch.tanh(genome["w"] * observation)
 
+
+def near(genome, observation):
+    """No numbers, once the weight is more than a tenth from 2."""
+    return (genome["w"] + 0.0 * (0.1 - (genome["w"] - 2.0).abs()).sqrt()) * observation
+
+
+@pytest.mark.parametrize(
+    ("outputs", "far", "close"), [(bounded, 5.0, 0.001), (near, 0.5, 0.01)]
+)
+def test_outputs_that_cannot_go_as_far_leave_the_parent(outputs, far, close):
     parent = TensorDict(w=torch.full((1,), 2.0))
-    rows = torch.tensor([[-3.0], [3.0]])
-    found = safe_mutation(bounded, parent, mutants(parent), rows, divergence=5.0)
-    assert (found["w"] == 2.0).all()
+    rows = torch.tensor([[-1.0], [1.0]])
+    for target, stays in ((far, True), (close, False)):
+        found = safe_mutation(outputs, parent, mutants(parent), rows, divergence=target)
+        changed = found["w"] != 2.0
+        assert bool(changed.any()) != stays
+        assert found["w"].isfinite().all()
 
 
 def test_a_child_without_a_change_stays():

@@ -53,8 +53,9 @@ def test_outputs_are_the_values_that_the_actor_acts_on(actor_of):
 
 
 def test_changes_of_sensitive_weights_shrink_and_those_of_others_grow():
-    changes = TensorDict(a=torch.full((4, 2), 0.5), b=torch.full((4, 3), 0.5))
-    changes.batch_size = [4]
+    changes = TensorDict(
+        a=torch.full((4, 2), 0.5), b=torch.full((4, 3), 0.5), batch_size=[4]
+    )
     sensitivity = TensorDict(a=torch.tensor([4.0, 0.02]), b=torch.tensor([1.0, 2.0, 2.0]))
     out = divide_by_sensitivity(changes, sensitivity, floor=0.1)
     typical = ((16 + 0.0004 + 1 + 4 + 4) / 5) ** 0.5
