@@ -66,10 +66,11 @@ class EvolutionConfig:
     """Of children, after their mutation."""
     num_points: int = within(2, least=1, most=1000)
     """Cuts of ``crossover=n_point``."""
-    sensitivity: bool = False
-    """Whether mutations are divided by how much the outputs depend on each weight."""
-    sensitivity_rows: int = within(256, least=1, most=1_000_000)
-    """Observations that this is measured over."""
+    divergence: float | None = within(None, least=0.001, most=10.0)
+    """Safe mutations: how far the outputs of every child are from the agent's, root mean
+    square, in standard deviations of the agent's. None scales no mutation."""
+    divergence_rows: int = within(256, least=1, most=1_000_000)
+    """Observations of the last batch that this is measured over."""
     window_episodes: int = within(100, least=1, most=MOST_EPISODES)
     """Last training episodes that success is measured over."""
     fitness: str = among("goals", _GOALS_OR_RETURN)

@@ -171,7 +171,7 @@ def test_defaults_of_the_schema_are_those_of_the_parts():
     parts = (GeneticHook, MutatedChildren, FullContest, HandOver, EpisodeWatch)
     hook = {name: default for part in parts for name, default in defaults_of(part).items()}
     shared = {field.name for field in dataclasses.fields(evolution)} & hook.keys()
-    shared -= {"mutation", "crossover", "contest", "sensitivity"}
+    shared -= {"mutation", "crossover", "contest"}
     assert len(shared) >= 6
     for name in shared:
         assert getattr(evolution, name) == hook[name], name

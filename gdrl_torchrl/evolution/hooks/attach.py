@@ -26,7 +26,7 @@ POLICY_NAMES = ("actor_network", "value_network")
 
 NOT_ATTACHED = (
     *("name", "enabled", "num_worlds", "experience_share", "share_on"),
-    *("sensitivity", "sensitivity_rows", "critic_on_switch", "updates_for_shared"),
+    *("divergence", "divergence_rows", "critic_on_switch", "updates_for_shared"),
 )
 """Settings that need more than a trainer shows: its replay buffer, its worlds, a critic."""
 

@@ -22,13 +22,14 @@ from gdrl_torchrl.evolution.operators.mutation import (
     mutations,
     standard_deviation,
 )
+from gdrl_torchrl.evolution.operators.safe_mutation import safe_mutation
 from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
-from gdrl_torchrl.evolution.operators.sensitivity import dampen, output_sensitivity
 from gdrl_torchrl.evolution.population.outputs import outputs_of
 from gdrl_torchrl.evolution.settings import EvolutionConfig
 
 Mutation = Callable[..., TensorDictBase]
-Sensitivity = Callable[[TensorDictBase, torch.Tensor], TensorDictBase]
+MakeSafe = Callable[[TensorDictBase, TensorDictBase, torch.Tensor], TensorDictBase]
+"""``(genome, children [N], observations [B, D]) -> children [N]``."""
 
 
 class Brood(NamedTuple):
@@ -85,9 +86,11 @@ class MutatedChildren:
         num_points: Cuts of the crossover.
         part: What mutates, see
             :func:`~gdrl_torchrl.evolution.operators.genome.paths_of_part`.
-        sensitivity: ``(genome, observations [B, D]) -> genome``: by how much the outputs
-            depend on each weight; mutations are divided by it. None leaves them.
-        sensitivity_rows: Observations of the last training batch that it is taken over.
+        make_safe: ``(genome, children [N], observations [B, D]) -> children [N]``: what
+            limits how much the children differ, such as
+            :func:`~gdrl_torchrl.evolution.operators.safe_mutation.safe_mutation`. None
+            leaves them.
+        divergence_rows: Observations of the last training batch that it gets.
 
     Raises:
         ValueError: If ``num_children`` < 1, or when children are made if the policy has no
@@ -112,8 +115,8 @@ class MutatedChildren:
         crossover: Mutation = no_crossover,
         num_points: int = 2,
         part: str = "all",
-        sensitivity: Sensitivity | None = None,
-        sensitivity_rows: int = 256,
+        make_safe: MakeSafe | None = None,
+        divergence_rows: int = 256,
     ) -> None:
         if num_children < 1:
             raise ValueError(f"num_children={num_children} must be >= 1")
@@ -124,18 +127,18 @@ class MutatedChildren:
         self.crossover = crossover
         self.num_points = num_points
         self.part = part
-        self.sensitivity = sensitivity
-        self.sensitivity_rows = sensitivity_rows
+        self.make_safe = make_safe
+        self.divergence_rows = divergence_rows
         self._observations: torch.Tensor | None = None
 
     def observe(self, batch: TensorDictBase) -> TensorDictBase:
-        """Keep some observations of a training batch, if sensitivity is asked for."""
-        if self.sensitivity is not None:
+        """Keep some observations of a training batch, if children are to be safe."""
+        if self.make_safe is not None:
             seen = batch[keys.OBSERVATION]
             rows = seen.reshape(-1, seen.shape[-1])
             # Evenly spread over worlds and steps: no random choice is needed.
-            stride = max(1, len(rows) // self.sensitivity_rows)
-            self._observations = rows[::stride][: self.sensitivity_rows].clone()
+            stride = max(1, len(rows) // self.divergence_rows)
+            self._observations = rows[::stride][: self.divergence_rows].clone()
         return batch
 
     def __call__(
@@ -148,19 +151,18 @@ class MutatedChildren:
         """Make children of a genome.
 
         Raises:
-            RuntimeError: If sensitivity is asked for, and no batch was observed.
+            RuntimeError: If children are to be safe, and no batch was observed.
         """
         mut_p = self.schedule(success_rate)
         copies = stack_copies(genome, self.num_children)
         children = self.mutation(copies, mut_p=mut_p, std=self.std, generator=generator)
-        if self.sensitivity is not None:
-            if self._observations is None:
-                raise RuntimeError("sensitivity needs a training batch: none was observed")
-            of_weights = self.sensitivity(genome, self._observations)
-            children = dampen(copies, children, of_weights)
         children = self.crossover(children, num_points=self.num_points, generator=generator)
         if self.part != "all":
             children = only_part(copies, children, paths_of_part(genome, self.part))
+        if self.make_safe is not None:
+            if self._observations is None:
+                raise RuntimeError("divergence needs a training batch: none was observed")
+            children = self.make_safe(genome, children, self._observations)
         return Brood(children, mut_p)
 
     def state_dict(self) -> dict[str, Any]:
@@ -174,9 +176,11 @@ class MutatedChildren:
 
 def breeding_of(settings: EvolutionConfig, actor: TensorDictModuleBase) -> MutatedChildren:
     """What makes the children of an actor that settings ask for."""
-    sensitivity = None
-    if settings.sensitivity:
-        sensitivity = functools.partial(output_sensitivity, outputs_of(actor))
+    make_safe = None
+    if settings.divergence is not None:
+        make_safe = functools.partial(
+            safe_mutation, outputs_of(actor), divergence=settings.divergence
+        )
     return MutatedChildren(
         settings.num_children,
         mutation=mutations()[settings.mutation],
@@ -185,6 +189,6 @@ def breeding_of(settings: EvolutionConfig, actor: TensorDictModuleBase) -> Mutat
         crossover=crossovers()[settings.crossover],
         num_points=settings.num_points,
         part=settings.genome,
-        sensitivity=sensitivity,
-        sensitivity_rows=settings.sensitivity_rows,
+        make_safe=make_safe,
+        divergence_rows=settings.divergence_rows,
     )

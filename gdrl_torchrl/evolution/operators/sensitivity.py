@@ -1,4 +1,4 @@
-"""How much a policy's outputs depend on each weight, and mutations scaled by it."""
+"""How much a policy's outputs depend on each weight, and mutations divided by it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+Outputs = Callable[[TensorDictBase, torch.Tensor], torch.Tensor]
+"""``(genome, observation [D]) -> outputs [K]``, differentiable."""
+
 _ROWS_AT_A_TIME = 32
 """Gradients of every row, output and weight are in memory at once."""
 
 
 def output_sensitivity(
-    outputs: Callable[[TensorDictBase, torch.Tensor], torch.Tensor],
-    genome: TensorDictBase,
-    observations: torch.Tensor,
+    outputs: Outputs, genome: TensorDictBase, observations: torch.Tensor
 ) -> TensorDictBase:
-    """Root mean square gradient of a policy's outputs with respect to each weight.
+    """Mean absolute gradient of a policy's outputs with respect to each weight.
 
-    ``s_w = sqrt(mean_i sum_k (d y_ik / d w)^2)`` over observations i and outputs k: the
-    sensitivity of safe mutations (Lehman et al. 2018, https://arxiv.org/abs/1712.06563,
-    section 3.1; PDERL's proximal mutation, https://arxiv.org/abs/1906.09807). They add
-    gradients; here squares are added, so that gradients of opposite sign do not cancel.
+    ``s_w = sqrt(sum_k (mean_i |d y_ik / d w|)^2)`` over observations i and outputs k: the
+    sensitivity of SM-G-ABS, a safe mutation through gradients (Lehman et al. 2018,
+    https://arxiv.org/abs/1712.06563), as in the authors' code
+    (https://github.com/uber-research/safemutations). Their SM-G-SUM, which PDERL's
+    proximal mutation takes (https://arxiv.org/abs/1906.09807), has
+    ``|sum_i d y_ik / d w|`` instead: it is cheaper, but gradients of opposite sign cancel.
 
     Args:
         outputs: ``(genome, observation [D]) -> [K]``, differentiable.
@@ -38,9 +41,9 @@ def output_sensitivity(
         >>> def line(genome, x):
         ...     return genome["w"] * x
         >>> genome = TensorDict(w=torch.ones(2))
-        >>> rows = torch.tensor([[3.0, 0.0], [4.0, 0.0]])
+        >>> rows = torch.tensor([[3.0, 0.0], [-4.0, 0.0]])
         >>> output_sensitivity(line, genome, rows)["w"]
-        tensor([3.5355, 0.0000])
+        tensor([3.5000, 0.0000])
     """
     count = len(observations)
     if count == 0:
@@ -58,47 +61,43 @@ def output_sensitivity(
 
     jacobian = torch.vmap(torch.func.jacrev(of_one), in_dims=(None, 0))
     weights = tuple(leaves[name].detach() for name in names)
-    total = [torch.zeros_like(weight) for weight in weights]
-    for begin in range(0, count, _ROWS_AT_A_TIME):
-        part = jacobian(weights, observations[begin : begin + _ROWS_AT_A_TIME])
-        for sum_of_squares, gradient in zip(total, part, strict=True):
-            sum_of_squares += gradient.square().sum(dim=(0, 1))
+    sums = [
+        [part.abs().sum(dim=0) for part in jacobian(weights, rows)]
+        for rows in observations.split(_ROWS_AT_A_TIME)
+    ]
     result = genome.clone()
-    for name, sum_of_squares in zip(names, total, strict=True):
-        result.set(name, (sum_of_squares / count).sqrt())
+    for name, *parts in zip(names, *sums, strict=True):
+        mean = torch.stack(parts).sum(dim=0) / count
+        result.set(name, mean.square().sum(dim=0).sqrt())
     return result
 
 
-def dampen(
-    genomes: TensorDictBase,
-    mutated: TensorDictBase,
-    sensitivity: TensorDictBase,
-    *,
-    floor: float = 0.1,
+def divide_by_sensitivity(
+    changes: TensorDictBase, sensitivity: TensorDictBase, *, floor: float = 0.1
 ) -> TensorDictBase:
-    """Shrink mutations of weights that the outputs depend on, and grow the others.
+    """Shrink changes of weights that the outputs depend on much.
 
-    Every change is divided by the weight's sensitivity relative to the root mean square
-    of all weights' sensitivities, but by no less than ``floor``. So a change of a typical
-    weight keeps its size, and none grows by more than ``1 / floor``.
+    Each change is divided by the weight's sensitivity relative to the root mean square of
+    all weights' sensitivities, but by no less than ``floor``: a weight that hardly
+    matters for these observations may matter for others. A weight that no output depends
+    on does not change at all, for what its change does cannot be measured.
 
     Args:
-        genomes: Before the mutation, ``[P]``.
-        mutated: After it, ``[P]``.
+        changes: Of genomes, ``[P]``.
         sensitivity: Of each weight, batch size ``[]``; see :func:`output_sensitivity`.
         floor: Least relative sensitivity, > 0.
 
     Returns:
-        New genomes ``[P]``. If no output depends on any weight, ``mutated``.
+        Changes ``[P]``; the arguments are not modified.
 
     Raises:
         ValueError: If ``floor`` is not positive.
 
     Examples:
-        >>> before = TensorDict(w=torch.zeros(1, 2), batch_size=[1])
-        >>> after = TensorDict(w=torch.ones(1, 2), batch_size=[1])
-        >>> dampen(before, after, TensorDict(w=torch.tensor([1.0, 7.0])))["w"]
-        tensor([[5.0000, 0.7143]])
+        >>> changes = TensorDict(w=torch.ones(1, 3), batch_size=[1])
+        >>> sensitivity = TensorDict(w=torch.tensor([1.0, 7.0, 0.0]))
+        >>> divide_by_sensitivity(changes, sensitivity)["w"]
+        tensor([[4.0825, 0.5832, 0.0000]])
     """
     if not floor > 0.0:
         raise ValueError(f"floor={floor} must be > 0")
@@ -106,14 +105,9 @@ def dampen(
     count = sum(leaf.numel() for leaf in leaves)
     squares = torch.stack([leaf.square().sum() for leaf in leaves]).sum()
     typical = (squares / count).sqrt()
-    if not typical > 0.0:
-        return mutated
 
-    def scale(
-        before: torch.Tensor, after: torch.Tensor, sensitive: torch.Tensor
-    ) -> torch.Tensor:
-        relative = (sensitive / typical).clamp_min(floor)
-        return before + (after - before) / relative
+    def divide(change: torch.Tensor, sensitive: torch.Tensor) -> torch.Tensor:
+        divided = change / (sensitive / typical).clamp_min(floor)
+        return torch.where(sensitive > 0.0, divided, 0.0)
 
-    many = sensitivity.expand(genomes.batch_size)
-    return genomes.apply(scale, mutated, many)
+    return changes.apply(divide, sensitivity.expand(changes.batch_size))

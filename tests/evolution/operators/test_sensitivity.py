@@ -1,37 +1,40 @@
-"""Sensitivity against finite differences, and mutations that respect it."""
+"""Sensitivity against finite differences, and changes that are divided by it."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
 from gdrl_torchrl.evolution.operators.genome import genome_of
-from gdrl_torchrl.evolution.operators.sensitivity import dampen, output_sensitivity
+from gdrl_torchrl.evolution.operators.sensitivity import (
+    divide_by_sensitivity,
+    output_sensitivity,
+)
 from gdrl_torchrl.evolution.population.outputs import outputs_of
 
 
 @pytest.mark.parametrize("rows", [1, 5, 70])
-def test_it_is_the_root_mean_square_of_finite_differences(rows, actor_kind, actor_of):
+def test_it_is_the_mean_absolute_finite_difference(rows, actor_kind, actor_of):
     torch.manual_seed(0)
     actor = actor_of(actor_kind).double()
     genome, outputs = genome_of(actor), outputs_of(actor)
     observations = torch.randn(rows, 3, dtype=torch.float64)
     found = output_sensitivity(outputs, genome, observations)
     assert set(found.keys(True, True)) == set(genome.keys(True, True))
+    of_rows = torch.vmap(outputs, in_dims=(None, 0))
     rng = torch.Generator().manual_seed(1)
     for key in genome.keys(True, True):
         flat = genome[key].numel()
         for place in torch.randint(flat, (2,), generator=rng).tolist():
-            squares = 0.0
-            for row in observations:
-                values = []
-                for step in (1e-6, -1e-6):
-                    moved = genome.clone()
-                    moved[key].view(-1)[place] += step
-                    values.append(outputs(moved, row).detach())
-                squares += float(((values[0] - values[1]) / 2e-6).square().sum())
-            expected = (squares / rows) ** 0.5
+            values = []
+            for step in (1e-6, -1e-6):
+                moved = genome.clone()
+                moved[key].view(-1)[place] += step
+                values.append(of_rows(moved, observations).detach().numpy())
+            slopes = (values[0] - values[1]) / 2e-6
+            expected = np.linalg.norm(np.abs(slopes).mean(axis=0))
             assert float(found[key].view(-1)[place]) == pytest.approx(expected, abs=1e-6)
 
 
@@ -50,12 +53,12 @@ def test_outputs_are_the_values_that_the_actor_acts_on(actor_of):
 
 
 def test_changes_of_sensitive_weights_shrink_and_those_of_others_grow():
-    before = TensorDict(a=torch.randn(4, 2), b=torch.randn(4, 3), batch_size=[4])
-    change = before.apply(lambda leaf: torch.full_like(leaf, 0.5))
-    after = before.apply(torch.add, change)
-    sensitivity = TensorDict(a=torch.tensor([4.0, 0.0]), b=torch.tensor([1.0, 2.0, 2.0]))
-    out = dampen(before, after, sensitivity, floor=0.1).apply(torch.sub, before)
-    typical = ((16 + 0 + 1 + 4 + 4) / 5) ** 0.5
+    changes = TensorDict(
+        a=torch.full((4, 2), 0.5), b=torch.full((4, 3), 0.5), batch_size=[4]
+    )
+    sensitivity = TensorDict(a=torch.tensor([4.0, 0.02]), b=torch.tensor([1.0, 2.0, 2.0]))
+    out = divide_by_sensitivity(changes, sensitivity, floor=0.1)
+    typical = ((16 + 0.0004 + 1 + 4 + 4) / 5) ** 0.5
     for row in range(4):
         expected = [0.5 * typical / 4.0, 5.0]
         assert torch.allclose(out["a"][row], torch.tensor(expected), atol=1e-5)
@@ -63,11 +66,20 @@ def test_changes_of_sensitive_weights_shrink_and_those_of_others_grow():
         assert torch.allclose(out["b"][row], torch.tensor(expected), atol=1e-5)
 
 
-def test_where_nothing_depends_on_any_weight_mutations_stay():
-    before = TensorDict(a=torch.zeros(2, 3), batch_size=[2])
-    after = TensorDict(a=torch.ones(2, 3), batch_size=[2])
-    nothing = TensorDict(a=torch.zeros(3))
-    assert (dampen(before, after, nothing) == after).all()
+@pytest.mark.parametrize("others", [0.0, 2.0])
+def test_weights_that_no_output_depends_on_stay(others):
+    changes = TensorDict(a=torch.ones(2, 3), b=torch.ones(2, 1), batch_size=[2])
+    sensitivity = TensorDict(a=torch.zeros(3), b=torch.tensor([others]))
+    out = divide_by_sensitivity(changes, sensitivity)
+    assert (out["a"] == 0.0).all()
+    assert bool((out["b"] == 0.0).all()) == (others == 0.0)
+
+
+@pytest.mark.parametrize("floor", [0.0, -1.0, float("nan")])
+def test_a_floor_that_is_not_positive_is_refused(floor):
+    changes = TensorDict(a=torch.ones(2, 3), batch_size=[2])
+    with pytest.raises(ValueError, match="floor"):
+        divide_by_sensitivity(changes, TensorDict(a=torch.ones(3)), floor=floor)
 
 
 def test_without_observations_it_is_refused(actor_of):
