@@ -127,7 +127,7 @@ def test_the_blocks_stop_who_only_pursues_the_goal():
     assert 0.2 <= success_rate("indoor", chase_by_turning) <= 0.6
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_a_planner_shows_that_every_arena_can_be_solved(arena):
     assert success_rate("indoor", plan, arena=arena) >= 0.95
 
