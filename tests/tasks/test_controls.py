@@ -7,7 +7,7 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome, Stream, episode_seeds
-from gdrl_tasks.controllers import Planner, pursue_goal, pursuit
+from gdrl_tasks.controllers import Pilot, Planner, pursue_goal, pursuit
 
 NUM_EPISODES = 500
 EPISODES_PER_NETWORK = 10
@@ -48,6 +48,11 @@ def chase_by_turning(worlds):
 def plan(worlds):
     planner = Planner(worlds.task, worlds.arrays)
     return lambda observation, episodes: planner(episodes, worlds.qpos[episodes])
+
+
+def steer(worlds):
+    pilot = Pilot(worlds.task, worlds.arrays)
+    return lambda observation, episodes: pilot(episodes, worlds.qpos[episodes])
 
 
 def networks(widths, activation, generator):
@@ -115,6 +120,12 @@ def test_a_pursuit_controller_nearly_always_crosses_it():
 def test_far_goals_are_harder():
     assert success_rate("water", untrained_actors, difficulty="far") <= 0.02
     assert 0.85 <= success_rate("water", chase, difficulty="far") < 0.98
+
+
+def test_who_knows_the_current_reaches_far_goals_in_it():
+    options = {"difficulty": "far", "current_m_s": 0.4}
+    assert success_rate("water", steer, **options) >= 0.9
+    assert success_rate("water", chase, **options) <= 0.85
 
 
 @pytest.mark.parametrize("arena", ["paper", "scatter"])
