@@ -75,8 +75,7 @@ def main() -> None:
     presets = [PRESETS[name] for name in names or PRESETS]
     if options.what == "commands":
         for preset in presets:
-            command = preset.command("$seed", "runs_dir=runs")
-            print(f"for seed in $(seq 0 {options.seeds - 1}); do {command}; done")
+            print(preset.command(options.seeds))
         return
     from gdrl_torchrl.runs.place import provenance
 

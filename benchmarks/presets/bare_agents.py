@@ -39,7 +39,8 @@ def rows_of_runs(preset: Preset, folder: Path, commit: str) -> list[Row]:
         ValueError: If a run is not finished or not of the preset's bare agent, if the runs
             differ in more than their seeds, or if there is only one.
     """
-    runs = find_runs(folder / f"certify_{preset.name}")
+    place = folder / f"certify_{preset.name}"
+    runs = find_runs(place) if place.is_dir() else []
     if not runs:
         return []
     results, first = {}, {}
@@ -72,7 +73,7 @@ def rows_of_runs(preset: Preset, folder: Path, commit: str) -> list[Row]:
 
 
 def _settings(run: Path) -> str:
-    """What was given on the command line, without seed and place."""
+    """What was given on the command line, but for what changes no result."""
     given = read_object(run / "overrides.json", {})["overrides"]
-    apart = ("seed=", "runs_dir=", "name=")
+    apart = ("seed=", "runs_dir=", "name=", "logger.", "simulation.")
     return " ".join(text for text in given if not text.startswith(apart))

@@ -22,13 +22,20 @@ class Preset:
         """The whole of it, as on the command line."""
         return [f"experiment={self.experiment}", *self.choices]
 
-    def command(self, seed: str, *others: str) -> str:
-        """The command that trains its bare agent with a seed."""
-        budget = ["budget.agent_steps=null", f"budget.total_steps={self.total_steps}"]
-        name = f"name=certify_{self.name}"
-        return " ".join(
-            ["gdrl-train", *self.overrides, name, *budget, *others, f"seed={seed}"]
-        )
+    def command(self, seeds: int) -> str:
+        """The command that trains its bare agent with seeds 0 to ``seeds`` - 1.
+
+        In several terminals it is a queue, and what is done is skipped.
+        """
+        options = [
+            f"name=certify_{self.name}",
+            "budget.agent_steps=null",
+            f"budget.total_steps={self.total_steps}",
+            "simulation.num_threads=1",
+            "logger.tensorboard=false",
+            f"'seed=range(0,{seeds})'",
+        ]
+        return " ".join(["gdrl-train -m", *self.overrides, *options])
 
 
 PRESETS = {

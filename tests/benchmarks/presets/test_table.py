@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 import statistics
 
 import pytest
@@ -91,11 +92,11 @@ def test_what_is_measured_again_takes_the_place_of_what_was(tmp_path):
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=lambda preset: preset.name)
 def test_a_command_trains_a_bare_agent_where_its_runs_are_looked_for(preset):
-    command, *overrides = preset.command("4", "runs_dir=elsewhere").split()
+    command, many, *overrides, seeds = shlex.split(preset.command(4))
     config = load_experiment(overrides)
-    assert command == "gdrl-train"
+    assert (command, many, seeds) == ("gdrl-train", "-m", "seed=range(0,4)")
     assert not config.evolution.enabled
-    assert (config.name, config.seed) == (f"certify_{preset.name}", 4)
+    assert config.name == f"certify_{preset.name}"
     assert config.budget.agent_steps is None
     assert config.budget.total_steps == preset.total_steps
 
@@ -111,6 +112,7 @@ def trained(tmp_path):
     def make(rates, *overrides, name=f"certify_{preset.name}"):
         for seed, rate in rates.items():
             given = [*preset.overrides, "budget.total_steps=9", f"seed={seed}", *overrides]
+            given += ["name=x", "runs_dir=elsewhere", "logger.tensorboard=false"]
             config = load_experiment(given)
             folder = tmp_path / name / "1a2b3c4d" / f"seed_{seed}"
             folder.mkdir(parents=True)
