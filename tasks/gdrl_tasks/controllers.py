@@ -10,6 +10,7 @@ from gdrl_tasks.indoor.free_space import FreeSpace
 from gdrl_tasks.indoor.robot import FOOTPRINT_M
 from gdrl_tasks.indoor.task import IndoorTask
 from gdrl_tasks.spec import WorldArrays
+from gdrl_tasks.water.task import WaterTask
 
 _TURN_PER_RADIAN = 2.5
 _AHEAD = 0.4
@@ -18,6 +19,9 @@ _DEAD_ZONE = 0.4
 _COMFORT_M = 0.25
 _LOOK_AHEAD_M = 0.2
 _DIRECTIONS = 64
+_SPEED_M_S = 1.0
+"""Through the water, of a vessel in :func:`pursuit`: 18 N of thrust against the drag."""
+_LARGEST_CRAB_RAD = 1.25
 
 
 def pursuit(observation: np.ndarray) -> np.ndarray:
@@ -64,6 +68,35 @@ def pursue_goal(observation: np.ndarray) -> np.ndarray:
     return np.digitize(bearing, limits)
 
 
+class Pilot:
+    """Steers the vessel of the water task to its goal on a straight course over ground.
+
+    Unlike a policy it knows the current. It heads off the goal's bearing by the angle at
+    which the current's part across the course is made good, and else steers as
+    :func:`pursuit` does.
+
+    Args:
+        task: The task, with continuous actions.
+        arrays: The arrays of its worlds at the start of their episodes.
+    """
+
+    def __init__(self, task: WaterTask, arrays: WorldArrays) -> None:
+        self.task = task
+        self._goal, self._current = arrays["goal"].copy(), arrays["current"].copy()
+
+    def __call__(self, worlds: np.ndarray, qpos: np.ndarray) -> np.ndarray:
+        """Port and starboard commands ``[K, 2]`` for worlds ``[K]`` at positions."""
+        position, yaw = self.task.planar_pose(qpos)
+        x, y = (self._goal[worlds] - position).T
+        course = np.arctan2(y, x)
+        along, across = self._current[worlds].T
+        drift = np.cos(course) * across - np.sin(course) * along
+        most = math.sin(_LARGEST_CRAB_RAD)
+        crab = np.arcsin(np.clip(drift / _SPEED_M_S, -most, most))
+        bearing = _within_half_a_turn(course - crab - yaw)
+        return pursuit(np.stack([np.hypot(x, y), bearing / math.pi], axis=-1))
+
+
 class Planner:
     """Drives the robot of the indoor task along the shortest way away from walls.
 
@@ -96,6 +129,10 @@ class Planner:
         reach = _LOOK_AHEAD_M * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         row, column = self._space.cells(centre[:, None] + reach)
         way = self._ways[worlds[:, None], row, column]
-        bearing = angles[way.argmin(axis=1)] - yaw
-        bearing = (bearing + math.pi) % (2.0 * math.pi) - math.pi
+        bearing = _within_half_a_turn(angles[way.argmin(axis=1)] - yaw)
         return pursue_goal(np.stack([bearing, bearing / math.pi], axis=-1))
+
+
+def _within_half_a_turn(angle: np.ndarray) -> np.ndarray:
+    """The same angles in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

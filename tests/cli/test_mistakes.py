@@ -101,10 +101,13 @@ OTHERS = {
     "gdrl-train +hydra.job.chdirs=true": "did you mean hydra.job.chdir?",
     "gdrl-train sweep=trials": "must be written +sweep=trials, after -m",
     "gdrl-train +experiment=gppo_water": "must be given once, without +",
-    "gdrl-train task=null": "task=null must be one of indoor, water",
+    "gdrl-train task=null": "task=null must be one of indoor, indoor_corridor, ",
     "gdrl-train evaluation=3": "must be given by its options, such as evaluation.<option>",
     "gdrl-train algorithm=dqn": "algorithm=dqn must be one of ga, ppo, rainbow",
     "gdrl-train --fast": "must be a switch that exists: see gdrl-train --help",
+    "gdrl-train experiment=ppo_water +regime=unstable": (
+        "regime=unstable must go with what else is chosen: it sets algorithm.target_tau"
+    ),
     "gdrl-train --help task=mars": "must be task=indoor|water",
     "gdrl-train -m name=../../x seed=0,1": "name='../../x' must be a folder's name",
     "gdrl-train -m name=a,../../x": "name='../../x' must be a folder's name",
@@ -181,13 +184,14 @@ def test_help_has_a_meaning_for_everything_and_two_examples(
 
 
 def test_the_help_of_training_lists_groups_and_options(tmp_path, tmp_path_factory):
-    lines = ["gdrl-train --help", "gdrl-train --help algorithm=rainbow task=indoor"]
+    lines = ["gdrl-train --help", "gdrl-train --help algorithm=rainbow task=indoor_trap"]
     told = answers("train", lines, tmp_path, tmp_path_factory)
     plain, chosen = (
         {line.split()[0] for line in printed if line.startswith("  ")}
         for _, _, printed, _ in told
     )
     assert plain >= {"gppo_water", "grainbow_indoor", "water", "ppo", "erl", "trials"}
+    assert plain >= {"water_near", "indoor_trap", "little_data", "unstable"}
     assert plain >= {"seed=0", "budget.agent_steps=null", "evaluation.episodes=500"}
     assert chosen >= {"algorithm.num_atoms=51", "task.num_beams=19"}
 

@@ -25,6 +25,8 @@ from gdrl_torchrl.evolution.settings import EvolutionConfig
 from gdrl_torchrl.runs.build import build_training
 
 CONF = resources.files("gdrl_torchrl.conf")
+REGIMES = {"little_data": "ppo_water", "unstable": "rainbow_indoor"}
+"""Experiments that they are for."""
 GROUPS = ("task", "algorithm", "network", "evolution")
 PARTS = (*GROUPS, "budget", "evaluation", "checkpoint", "logger", "simulation")
 
@@ -71,6 +73,59 @@ def test_every_experiment_is_named_as_its_file_typed_and_can_be_built(experiment
 )
 def test_every_file_of_a_group_composes_to_a_typed_configuration(group, option):
     assert_is_typed(load_experiment(["experiment=gppo_water", f"{group}={option}"]))
+
+
+@pytest.mark.parametrize(
+    ("preset", "expected"),
+    {
+        "water_calm": {"goal_distance_m": (2.0, 6.0), "sea": "calm", "current_m_s": 0.0},
+        "water_near": {},
+        "water_far_current": {
+            "difficulty": "far",
+            "goal_distance_m": (5.0, 15.0),
+            "goal_tolerance_m": 0.15,
+            "sea": "rough",
+            "current_m_s": 0.4,
+            "progress_weight": 0.0,
+        },
+        "indoor_paper": {},
+        "indoor_scatter": {"arena": "scatter", "progress_weight": 10.0},
+        "indoor_corridor": {"arena": "corridor", "step_limit": 1000},
+        "indoor_trap": {"arena": "trap", "step_limit": 500},
+    }.items(),
+)
+def test_a_preset_is_the_task_that_its_name_begins_with(preset, expected):
+    name = preset.partition("_")[0]
+    task = make_task_from_config(load_experiment([f"task={preset}"]).task)
+    assert task.name == name
+    assert task.options == make_task(name, **expected).options
+
+
+def test_a_preset_keeps_the_kind_of_actions_of_an_experiment():
+    for experiment, preset in (
+        ("rainbow_water", "water_calm"),
+        ("ppo_indoor", "indoor_trap"),
+    ):
+        plain = load_experiment([f"experiment={experiment}"])
+        other = load_experiment([f"experiment={experiment}", f"task={preset}"])
+        assert other.task.actions == plain.task.actions
+        assert other.task != plain.task
+
+
+@pytest.mark.parametrize("regime", options_of("regime"))
+def test_a_regime_changes_its_experiment_and_nothing_else_of_it(regime):
+    given = [f"experiment={REGIMES[regime]}"]
+    plain, other = load_experiment(given), load_experiment([*given, f"+regime={regime}"])
+    assert other.algorithm != plain.algorithm
+    assert dataclasses.replace(other, algorithm=plain.algorithm) == plain
+
+
+def test_the_regimes_are_those_of_their_descriptions():
+    little = load_experiment(["experiment=ppo_water", "+regime=little_data"]).algorithm
+    sizes = (little.num_worlds, little.frames_per_batch, little.minibatch_size)
+    assert sizes == (1, 256, 64)
+    fast = load_experiment(["experiment=rainbow_indoor", "+regime=unstable"]).algorithm
+    assert (fast.learning_rate, fast.target_tau) == (3e-3, 0.05)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ VARIANTS = {
         {"difficulty": "far"},
         {"actions": "discrete"},
         {"reward": "dense"},
+        {"progress_weight": 10.0},
         {"at_limit": "truncated"},
         {"dead_zone_compensated": True, "current_m_s": 0.3},
         {"extra_observations": ("velocity", "roll", "time_left")},
@@ -23,6 +24,8 @@ VARIANTS = {
         {},
         {"arena": "scatter"},
         {"arena": "corridor"},
+        {"arena": "trap"},
+        {"progress_weight": 0.0},
         {"actions": "continuous"},
         {"scan_hold": True},
         {"range_noise": True},
@@ -261,6 +264,8 @@ def distance_to_goal(environment):
 
 def progress_weight(name, options):
     """Reward per metre towards the goal."""
+    if "progress_weight" in options:
+        return options["progress_weight"]
     if name == "indoor":
         return 10.0
     return 1.0 if options.get("reward") == "dense" else 0.0
@@ -268,7 +273,12 @@ def progress_weight(name, options):
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [*((name, {}) for name in gdrl_tasks.task_names()), ("water", {"reward": "dense"})],
+    [
+        *((name, {}) for name in gdrl_tasks.task_names()),
+        ("water", {"reward": "dense"}),
+        ("water", {"reward": "dense", "progress_weight": 2.5}),
+        ("indoor", {"progress_weight": 0.0}),
+    ],
 )
 @pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
 def test_an_episode_ends_at_its_step_limit(name, options, at_limit):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import gdrl_tasks
 
 CHOICES = ["near", "far", "calm", "lake", "rough", "sparse", "discrete", "continuous"]
-CHOICES += ["paper", "scatter", "corridor", "burger", "truncated", ""]
+CHOICES += ["paper", "scatter", "corridor", "trap", "burger", "truncated", ""]
 VALUES = st.one_of(
     st.none(),
     st.booleans(),
@@ -50,7 +50,7 @@ def test_any_option_either_works_or_is_named(task, data, value):
 
 
 @given(
-    arena=st.sampled_from(["paper", "scatter", "corridor"]),
+    arena=st.sampled_from(["paper", "scatter", "corridor", "trap"]),
     speed=st.floats(0.01, 0.3),
     rates=st.lists(st.floats(-180.0, 180.0), min_size=2, max_size=5, unique=True),
     num_beams=st.integers(1, 60),

@@ -69,7 +69,7 @@ def test_the_top_camera_sees_the_whole_range_of_goals(difficulty):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_the_top_camera_sees_the_whole_arena(arena):
     environment = gdrl_tasks.load("indoor", random=0, arena=arena)
     environment.reset()

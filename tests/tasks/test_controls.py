@@ -7,10 +7,11 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome, Stream, episode_seeds
-from gdrl_tasks.controllers import Planner, pursue_goal, pursuit
+from gdrl_tasks.controllers import Pilot, Planner, pursue_goal, pursuit
 
 NUM_EPISODES = 500
 EPISODES_PER_NETWORK = 10
+OTHERS = ("paper", "scatter", "corridor")
 
 pytestmark = pytest.mark.slow
 
@@ -48,6 +49,11 @@ def chase_by_turning(worlds):
 def plan(worlds):
     planner = Planner(worlds.task, worlds.arrays)
     return lambda observation, episodes: planner(episodes, worlds.qpos[episodes])
+
+
+def steer(worlds):
+    pilot = Pilot(worlds.task, worlds.arrays)
+    return lambda observation, episodes: pilot(episodes, worlds.qpos[episodes])
 
 
 def networks(widths, activation, generator):
@@ -117,6 +123,12 @@ def test_far_goals_are_harder():
     assert 0.85 <= success_rate("water", chase, difficulty="far") < 0.98
 
 
+def test_who_knows_the_current_reaches_far_goals_in_it():
+    options = {"difficulty": "far", "current_m_s": 0.4}
+    assert success_rate("water", steer, **options) >= 0.9
+    assert success_rate("water", chase, **options) <= 0.85
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("arena", ["paper", "scatter"])
 @pytest.mark.parametrize("policy_of", [untrained_q_networks, anything])
@@ -130,7 +142,7 @@ def test_the_blocks_stop_who_only_pursues_the_goal():
 
 @pytest.mark.parametrize(
     "arena",
-    ["paper", *(pytest.param(a, marks=pytest.mark.full) for a in ("scatter", "corridor"))],
+    ["trap", *(pytest.param(a, marks=pytest.mark.full) for a in OTHERS)],
 )
 def test_a_planner_shows_that_every_arena_can_be_solved(arena):
     assert success_rate("indoor", plan, arena=arena) >= 0.95

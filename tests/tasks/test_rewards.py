@@ -82,7 +82,9 @@ DRIVES = [
     ("indoor", {"actions": "continuous", "at_limit": "truncated", "step_limit": 40}),
     ("water", {"reward": "dense", "sea": "rough"}),
     ("water", {"reward": "dense", "actions": "discrete", "current_m_s": 0.5}),
+    ("water", {"progress_weight": 10.0, "difficulty": "far"}),
     ("water", {}),
+    ("indoor", {"arena": "trap", "progress_weight": 3.0}),
 ]
 
 

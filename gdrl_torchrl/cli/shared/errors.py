@@ -68,6 +68,13 @@ def explanation(error: Exception, overrides: Sequence[str]) -> str:
         return _not_in_defaults(name, overrides)
     if found := re.match(r"(\S+) appears more than once in the final defaults", text):
         return f"+{_given(found[1], overrides)} must be given once, without +"
+    if found := re.search(
+        r"(?s)In '([^']+)/(\w+)': ConfigKeyError.*full_key: (\S+)", str(error)
+    ):
+        return (
+            f"{found[1]}={found[2]} must go with what else is chosen: it sets {found[3]}, "
+            "which is no option of that"
+        )
     return _of_the_cause(error, text, overrides)
 
 

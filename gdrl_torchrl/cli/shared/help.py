@@ -36,6 +36,7 @@ def help_of_training(arguments: Sequence[str]) -> str:
         *_choices("algorithm", "algorithm=<name>"),
         *_choices("evolution", "evolution=<name>: the population beside the agent"),
         *_choices("network", "network=<name>"),
+        *_choices("regime", "+regime=<name>: settings under which learning is hard"),
         *_choices("sweep", "-m +sweep=<name>: many runs that answer a question"),
         ("options, with what they are unless an experiment says otherwise", _common()),
         ("more options, by choice of a group", _more()),
@@ -88,8 +89,13 @@ def _more() -> list[tuple[str, str]]:
 
 
 def _group(argument: str) -> list[tuple[str, list[tuple[str, str]]]]:
-    """The options of ``task=water``, ``algorithm=ppo`` or ``evolution=genetic``."""
+    """The options of ``task=water``, ``algorithm=ppo`` or ``evolution=genetic``.
+
+    Those of a preset, such as ``task=water_calm``, are the options of its task.
+    """
     group, _, name = argument.partition("=")
+    if group == "task" and name in names_in("task"):
+        name = _task_of(name)
     if group == "task" and name in task_names():
         rows = [
             (
@@ -109,4 +115,15 @@ def _group(argument: str) -> list[tuple[str, list[tuple[str, str]]]]:
             f"algorithm={'|'.join(algorithm_configs())} or "
             f"evolution={'|'.join(names_in('evolution'))}"
         )
-    return [(f"options of {argument}", rows)]
+    return [(f"options of {group}={name}", rows)]
+
+
+def _task_of(preset: str) -> str:
+    """The task that a file of ``conf/task`` is of: its name is what the file's begins with.
+
+    Examples:
+        >>> _task_of("water_calm"), _task_of("indoor")
+        ('water', 'indoor')
+    """
+    tasks = [t for t in task_names() if f"{preset}_".startswith(f"{t}_")]
+    return max(tasks, key=len, default=preset)

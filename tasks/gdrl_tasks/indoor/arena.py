@@ -78,8 +78,9 @@ class Arena(abc.ABC):
         for _ in range(_ATTEMPTS):
             places = np.concatenate([self._walls, self.draw_obstacles(generator)])
             space = FreeSpace.of(self.half_extent_m, self.shapes, places)
-            start = self._draw_free(generator, space, self.start_clearance_m, is_goal=False)
-            goal = self._draw_free(generator, space, self.goal_clearance_m, is_goal=True)
+            may_start, may_end = self.cells_that_may_hold(places)
+            start = self._draw_free(generator, space, self.start_clearance_m, may_start)
+            goal = self._draw_free(generator, space, self.goal_clearance_m, may_end)
             if start is None or goal is None:
                 continue
             straight = float(np.hypot(goal[0] - start[0], goal[1] - start[1]))
@@ -101,13 +102,11 @@ class Arena(abc.ABC):
         generator: np.random.Generator,
         space: FreeSpace,
         least_m: float,
-        *,
-        is_goal: bool,
+        allowed: np.ndarray,
     ) -> np.ndarray | None:
         """A random point with room around it, in a free cell that may hold one."""
         # A point is at most half a cell's diagonal from the middle of its cell.
-        fits = space.clearance >= least_m + 0.0708
-        fits &= self._cells_that_may_hold[is_goal]
+        fits = (space.clearance >= least_m + 0.0708) & allowed
         cells = np.flatnonzero(fits)
         if len(cells) == 0:
             return None
@@ -115,12 +114,27 @@ class Arena(abc.ABC):
         middle = np.array([space.x[column], space.y[row]])
         return middle + generator.uniform(-0.05, 0.05, 2)
 
+    def cells_that_may_hold(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Masks ``[R, C]`` of the cells for starts and for goals.
+
+        They are the same in all layouts, unless an arena overrides this.
+
+        Args:
+            places: Places of the layout's shapes, ``[N, 4]``.
+        """
+        return self._same_in_all_layouts
+
     @functools.cached_property
-    def _cells_that_may_hold(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masks ``[R, C]`` for starts and for goals."""
-        x, y = np.meshgrid(*(middles(half) for half in self.half_extent_m))
+    def _same_in_all_layouts(self) -> tuple[np.ndarray, np.ndarray]:
+        x, y = self.cells
         start, goal = (self.may_hold(x, y, is_goal=kind) for kind in (False, True))
         return start, goal
+
+    @functools.cached_property
+    def cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles of the grid's cells: x and y, metres, ``[R, C]`` each."""
+        x, y = np.meshgrid(*(middles(half) for half in self.half_extent_m))
+        return x, y
 
     @abc.abstractmethod
     def draw_obstacles(self, generator: np.random.Generator) -> np.ndarray:
@@ -214,6 +228,51 @@ class CorridorArena(Arena):
         return x >= 4.2 if is_goal else x <= -4.2
 
 
-ARENAS: dict[str, type[PaperArena] | type[ScatterArena] | type[CorridorArena]] = {
-    arena.name: arena for arena in (PaperArena, ScatterArena, CorridorArena)
+class TrapArena(Arena):
+    """A U of three walls whose mouth is to the start; the goal is behind its bottom.
+
+    The straight way to the goal leads into the U. So progress towards the goal, which
+    the reward pays for, leads to a place from where it can only be lost again. The U is
+    turned and displaced in every layout, and with it go the places of start and goal.
+    """
+
+    name = "trap"
+    half_extent_m = (3.5, 3.5)
+    goal_distance_m = 2.0
+
+    _WIDTH_M, _DEPTH_M, _HALF_WALL_M = 2.4, 1.2, 0.05
+    _START, _GOAL = (-2.0, 0.4), (1.0, 0.3)
+    """Along the U's axis from its bottom, and reach around there, metres."""
+    _DISPLACEMENT_M = 0.7
+
+    def __init__(self) -> None:
+        thin = self._HALF_WALL_M
+        side = (0.5 * self._DEPTH_M - thin, thin)
+        super().__init__([(thin, 0.5 * self._WIDTH_M), side, side], [])
+
+    def draw_obstacles(self, generator: np.random.Generator) -> np.ndarray:
+        """Bottom and sides of the U, around a middle near that of the arena."""
+        thin, reach = self._HALF_WALL_M, self._DISPLACEMENT_M
+        yaw = generator.uniform(-math.pi, math.pi)
+        middle = generator.uniform(-reach, reach, 2)
+        # In the U's own frame, around its middle: x leads to the goal.
+        along = np.array([0.5 * self._DEPTH_M - thin, -thin, -thin])
+        across = np.array([0.0, 1.0, -1.0]) * (0.5 * self._WIDTH_M - thin)
+        x = middle[0] + math.cos(yaw) * along - math.sin(yaw) * across
+        y = middle[1] + math.sin(yaw) * along + math.cos(yaw) * across
+        return place(x, y, yaw)
+
+    def cells_that_may_hold(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Starts are before the mouth of the U, goals behind its bottom."""
+        x, y, cosine, sine = places[4]
+        start, goal = (
+            np.hypot(self.cells[0] - x - along * cosine, self.cells[1] - y - along * sine)
+            <= reach
+            for along, reach in (self._START, self._GOAL)
+        )
+        return start, goal
+
+
+ARENAS: dict[str, type[PaperArena | ScatterArena | CorridorArena | TrapArena]] = {
+    arena.name: arena for arena in (PaperArena, ScatterArena, CorridorArena, TrapArena)
 }

@@ -7,7 +7,7 @@ from typing import Literal
 
 from gdrl_tasks.checks import check_choice, check_fields, check_times, within
 
-STEP_LIMITS = {"paper": 500, "scatter": 500, "corridor": 1000}
+STEP_LIMITS = {"paper": 500, "scatter": 500, "corridor": 1000, "trap": 500}
 """Default step limit of an episode, by arena."""
 
 LONGEST_STEP_M = 0.11
@@ -19,8 +19,9 @@ the ends of steps only, and no place between them is further away than that."""
 class IndoorOptions:
     """Options of the indoor task."""
 
-    arena: Literal["paper", "scatter", "corridor"] = "paper"
-    """Walls and obstacles: the papers' arena, boxes at random places, or a corridor."""
+    arena: Literal["paper", "scatter", "corridor", "trap"] = "paper"
+    """Walls and obstacles: the papers' arena, boxes at random places, a corridor, or a
+    U-shaped trap before the goal."""
     actions: Literal["discrete", "continuous"] = "discrete"
     """``discrete`` drives at ``speed_m_s`` and chooses one of ``turn_rates_deg_s``;
     ``continuous`` is (speed, turn rate), each in [-1, 1]: standing still to
@@ -44,6 +45,8 @@ class IndoorOptions:
     """Whether ranges have the errors of the LDS-01's precision."""
     scan_hold: bool = False
     """Whether the lidar scans at 5 Hz, so that some steps observe an old scan."""
+    progress_weight: float = within(10.0, least=0.0, most=1000.0)
+    """Reward per metre gained towards the goal, 10 in the papers; 0 rewards ends only."""
     at_limit: Literal["terminated", "truncated"] = "terminated"
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     control_interval_s: float = within(0.12, above=0.0, most=10.0)

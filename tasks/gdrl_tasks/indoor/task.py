@@ -53,7 +53,7 @@ class IndoorTask(NavigationTask):
         assert options.step_limit is not None
         self.arena = ARENAS[options.arena]()
         self.goal_tolerance_m = options.goal_tolerance_m
-        self.progress_weight = 10.0
+        self.progress_weight = options.progress_weight
         self.truncates_at_limit = options.at_limit == "truncated"
         is_discrete = options.actions == "discrete"
         self.spec = TaskSpec(

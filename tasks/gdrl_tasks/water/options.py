@@ -22,6 +22,8 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
     },
 }
 
+_PROGRESS_WEIGHTS = {"sparse": 0.0, "dense": 1.0}
+
 EXTRA_OBSERVATIONS: dict[str, tuple[int, float, float]] = {
     "velocity": (3, -10.0, 10.0),
     "roll": (1, -math.pi, math.pi),
@@ -52,7 +54,9 @@ class WaterOptions:
     current_m_s: float = within(0.0, least=0.0, most=5.0)
     """Speed of a steady current; its direction is drawn per episode."""
     reward: Literal["sparse", "dense"] = "sparse"
-    """``dense`` adds progress towards the goal in metres."""
+    """What ``progress_weight`` is unless it is given: 0, or 1 if ``dense``."""
+    progress_weight: float | None = within(None, least=0.0, most=1000.0)
+    """Reward per metre gained towards the goal; 0 rewards ends only."""
     at_limit: Literal["terminated", "truncated"] = "terminated"
     """Whether the step limit is part of the task (-1) or cuts the episode off."""
     actions: Literal["continuous", "discrete"] = "continuous"
@@ -77,6 +81,8 @@ class WaterOptions:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
         check_fields(self)
+        if self.progress_weight is None:
+            object.__setattr__(self, "progress_weight", _PROGRESS_WEIGHTS[self.reward])
         check_times(self.control_interval_s, self.substep_s)
         self._check_goal()
         self._check_steepness()

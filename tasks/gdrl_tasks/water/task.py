@@ -46,10 +46,11 @@ class WaterTask(NavigationTask):
         assert options.goal_distance_m is not None
         assert options.goal_tolerance_m is not None
         assert options.sea is not None
+        assert options.progress_weight is not None
         self.goal_distance_m = options.goal_distance_m
         self.goal_tolerance_m = options.goal_tolerance_m
         self._sea = waves.SEAS[options.sea]
-        self.progress_weight = 1.0 if options.reward == "dense" else 0.0
+        self.progress_weight = options.progress_weight
         self.truncates_at_limit = options.at_limit == "truncated"
         observation = {
             "goal_distance": (1, 0.0, 10.0),

@@ -113,7 +113,7 @@ def test_only_what_a_task_has_is_recorded(name: str, own: set[str]) -> None:
     assert scanned.keys() - recorded.keys() == ({"scan"} if name == "indoor" else set())
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_recorded_obstacles_are_those_that_robots_hit(arena: str) -> None:
     task = make_task("indoor", arena=arena)
 

@@ -5,13 +5,19 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome
+from gdrl_tasks.controllers import pursue_goal
 from gdrl_tasks.indoor.arena import CorridorArena
 
 START_ROOM_M = 0.4
 GOAL_ROOM_M = 0.3
-FARTHEST_GOAL_M = {"paper": 9.9, "scatter": 9.9, "corridor": 11.1}
-LEAST_WAY_M = {"paper": 0.5, "scatter": 1.0, "corridor": 5.0}
-INSIDE_M = {"paper": (3.5, 3.5), "scatter": (3.5, 3.5), "corridor": (5.25, 1.75)}
+FARTHEST_GOAL_M = {"paper": 9.9, "scatter": 9.9, "corridor": 11.1, "trap": 3.9}
+LEAST_WAY_M = {"paper": 0.5, "scatter": 1.0, "corridor": 5.0, "trap": 2.0}
+INSIDE_M = {
+    "paper": (3.5, 3.5),
+    "scatter": (3.5, 3.5),
+    "corridor": (5.25, 1.75),
+    "trap": (3.5, 3.5),
+}
 every_arena = pytest.mark.parametrize("arena", list(INSIDE_M))
 
 
@@ -53,6 +59,7 @@ def draw(arena, seeds, **options):
         pytest.param("paper", 4000, marks=pytest.mark.slow),
         pytest.param("scatter", 4000, marks=pytest.mark.slow),
         pytest.param("corridor", 2000, marks=pytest.mark.slow),
+        pytest.param("trap", 2000, marks=pytest.mark.slow),
     ],
 )
 def test_every_start_and_every_goal_has_room(arena, count, indoor_pose):
@@ -148,6 +155,66 @@ def test_the_corridor_is_driven_from_end_to_end():
     assert (drawn["shortest_path"] > 8.0).all()
     sides = np.sign(drawn["obstacles"][:, 4:7, 1])
     assert len(np.unique(sides, axis=0)) == 8
+
+
+def in_the_frame_of_the_trap(points, bottom):
+    """Points ``[E, K, 2]`` from the middle of the bottom; x leads out of its back."""
+    x, y, cosine, sine = (value[:, None] for value in bottom.T)
+    dx, dy = points[..., 0] - x, points[..., 1] - y
+    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=-1)
+
+
+def test_the_trap_is_a_u_between_start_and_goal_turned_any_way(indoor_pose):
+    task, drawn = draw("trap", np.arange(200))
+    bottom, first, second = np.moveaxis(drawn["obstacles"][:, 4:], 1, 0)
+    assert len(task.arena.shapes) == 7
+    corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+    ends = []
+    for number, places in enumerate((bottom, first, second), start=4):
+        own = corners * task.arena.shapes.half_size[number]
+        x, y, cosine, sine = (value[:, None] for value in places.T)
+        in_world = np.stack(
+            [
+                x + cosine * own[:, 0] - sine * own[:, 1],
+                y + sine * own[:, 0] + cosine * own[:, 1],
+            ],
+            axis=-1,
+        )
+        ends.append(in_the_frame_of_the_trap(in_world, bottom))
+    # Outside it is 2.4 m wide and 1.2 m deep; its sides end at its bottom.
+    everything = np.concatenate(ends, axis=1)
+    np.testing.assert_allclose(np.ptp(everything, axis=1), [[1.2, 2.4]] * 200)
+    np.testing.assert_allclose(ends[1][..., 0].max(axis=1), -0.05, atol=1e-9)
+    np.testing.assert_allclose(ends[2][..., 0].max(axis=1), -0.05, atol=1e-9)
+    start, _ = indoor_pose(drawn["qpos"])
+    both = np.stack([start, drawn["goal"]], axis=1)
+    ((before, beside), (behind, across)) = np.moveaxis(
+        in_the_frame_of_the_trap(both, bottom), 0, -1
+    )
+    # The mouth is 1.15 m before the bottom, and the goal a metre behind it.
+    assert before.max() < -1.5
+    assert np.abs(behind - 1.0).max() < 0.4
+    assert np.abs([beside, across]).max() < 0.5
+    yaw = np.arctan2(bottom[:, 3], bottom[:, 2])
+    assert np.histogram(yaw, bins=4, range=(-np.pi, np.pi))[0].min() > 25
+    assert (np.ptp(bottom[:, :2], axis=0) > 1.5).all()
+
+
+def test_progress_leads_into_the_trap():
+    count = 24
+    worlds = gdrl_tasks.simulate(
+        "indoor", num_worlds=count, num_threads=1, seed=0, arena="trap"
+    )
+    observation, running = worlds.reset(seeds=np.arange(count)), np.arange(count)
+    while len(running):
+        result = worlds.step(pursue_goal(observation), running)
+        goes_on = result.outcome == Outcome.RUNNING
+        running, observation = running[goes_on], result.observation[goes_on]
+    # Nobody gets to the goal, though nearly all come within two metres of it and are
+    # paid for more than a metre of progress.
+    assert (worlds.arrays["outcome"] == Outcome.COLLISION).all()
+    assert np.median(worlds.arrays["distance"]) < 1.5
+    assert np.median(worlds.arrays["episode_return"]) > 10.0
 
 
 class OftenShut(CorridorArena):

@@ -10,7 +10,7 @@ FOOTPRINT_M = 0.11
 MARGIN_M = 0.005
 STRAIGHT = 2
 AWAY = [100.0, 100.0, 1.0, 0.0]
-every_arena = pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+every_arena = pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 
 
 def gap_to_shape(middle, is_box, half_size, at):

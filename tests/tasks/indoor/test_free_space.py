@@ -312,6 +312,11 @@ def nearly_closed(arena, places, number):
         apart = 1.1 + 0.15 + 0.1 + 0.03 * number
         places[4:, :2] = [(0.0, 1.35), (0.0, -1.35), (apart, 0.0), (-apart, 0.0)]
         return places, np.array([0.1, -0.3])
+    if arena == "trap":
+        # At a wall, gaps of 10 to 43 cm between the ends of its sides and its bottom.
+        apart = 2.35 - 0.1 - 0.03 * number
+        places[4:] = place([apart, 2.95, 2.95], [0.0, 1.15, -1.15])
+        return places, np.array([3.0, 0.0])
     # A ring of ten.
     angle = np.arange(10) * 0.2 * np.pi
     ring = (0.55 + 0.06 * number) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

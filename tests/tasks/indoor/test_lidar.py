@@ -72,7 +72,7 @@ def angles_of(num_beams, field_of_view_deg):
     return np.radians(first + np.arange(num_beams) * field_of_view_deg / steps)
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 @pytest.mark.parametrize(
     ("num_beams", "field_of_view_deg"), [(19, 180.0), (36, 360.0), (11, 73.5)]
 )
@@ -108,7 +108,7 @@ def test_scans_are_those_of_a_perfect_lidar(
     assert np.ptp(read) > 2.0
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_the_dm_control_route_scans_alike(arena, indoor_pose):
     environment = gdrl_tasks.load("indoor", random=3, arena=arena)
     angles = angles_of(19, 180.0)
@@ -125,7 +125,7 @@ def test_the_dm_control_route_scans_alike(arena, indoor_pose):
             time_step = environment.step(generator.integers(5))
 
 
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_the_engines_own_rays_hit_the_same(arena, indoor_pose):
     """What is drawn and what is solid is what the lidar sees, at the lidar's height."""
     environment = gdrl_tasks.load(

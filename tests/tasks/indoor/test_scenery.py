@@ -15,7 +15,7 @@ from gdrl_tasks.indoor.robot import LIDAR_HEIGHT_M
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor"])
+@pytest.mark.parametrize("arena", ["paper", "scatter", "corridor", "trap"])
 def test_top_camera_holds_the_arena_and_chase_camera_the_robot(arena: str) -> None:
     from gdrl_tasks.engines.dm_env import make_environment
 
