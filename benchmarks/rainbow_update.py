@@ -36,6 +36,7 @@ from gdrl_torchrl.agents.rainbow.agent import (
     make_rainbow_actor,
 )
 from gdrl_torchrl.agents.rainbow.loss import resample_noise
+from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.agents.settings import NetworkConfig
 from gdrl_torchrl.config.schema import ExperimentConfig
@@ -157,7 +158,7 @@ def check_equal(learner: RainbowLearner, reference: Rainbow) -> None:
         (loss.target_value_network_params, reference.target),
     )
     shares = torch.rand(learner.config.minibatch_size, generator=buffer._rng.clone_state())
-    batch = learner.draw(TensorDict())
+    batch = draw_minibatch(learner.buffer)
     rows, weight = reference.replay.find(shares.double().numpy(), reference.beta)
     if not torch.equal(rows, batch["index"].long()):
         raise RuntimeError("the rows drawn differ by hand")
@@ -180,7 +181,7 @@ def check_equal(learner: RainbowLearner, reference: Rainbow) -> None:
     learner.optimizer.zero_grad()
 
     torch.set_rng_state(state)
-    losses = learner.step(None, batch)  # pyright: ignore[reportArgumentType]
+    losses = learner.step(batch)
     its = dict(zip(("loss", "grad_norm"), reference.learn(rows, weight), strict=True))
     compare("a number", {name: losses[name] for name in its}, its)
     for params, network in networks:
@@ -241,9 +242,8 @@ def measure_exploration(exploration: str, options: argparse.Namespace) -> dict[s
     learner.buffer.update_priority(rows, priorities)
     check_equal(learner, reference)
 
-    nothing: Any = TensorDict()
     updates: list[Callable[[], object]] = [
-        lambda: learner.step(nothing, learner.draw(nothing)),
+        lambda: learner.step(draw_minibatch(learner.buffer)),
         reference.update,
     ]
     if exploration != "noisy":

@@ -6,7 +6,7 @@ import functools
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Categorical, TensorDictReplayBuffer
 from torchrl.modules import DistributionalQValueActor, EGreedyModule
@@ -129,20 +129,23 @@ class RainbowLearner:
         self.num_episodes += int(batch["next", keys.DONE].sum())
         self._anneal()
 
-    def step(self, minibatch: TensorDictBase, *, diagnose: bool = False) -> None:
+    def step(self, minibatch: TensorDictBase, *, diagnose: bool = False) -> TensorDict:
         """One update, whose numbers are in the means of ``update``.
 
         Args:
             minibatch: Drawn from the buffer.
             diagnose: As of :class:`~gdrl_torchrl.agents.update.Update`.
 
+        Returns:
+            The losses, as of :class:`~gdrl_torchrl.agents.update.Update`.
+
         Raises:
             NonFiniteUpdateError: As of :meth:`learn`.
         """
         resample_noise(self.loss)
-        self.update(minibatch, diagnose=diagnose)
+        losses = self.update(minibatch, diagnose=diagnose)
         if self.update.skipped:
-            return
+            return losses
         torch._foreach_lerp_(*self._target_and_online, self.config.target_tau)
         note_errors(self.buffer, minibatch)
         if diagnose:
@@ -152,6 +155,7 @@ class RainbowLearner:
             )
         self.num_updates += 1
         self._anneal()
+        return losses
 
     def share(
         self, transitions: TensorDictBase, share: float, *, with_updates: bool = False
