@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=200, help="worlds (measure)")
     parser.add_argument("--threads", type=int, default=0, help="of the simulation")
     parser.add_argument("--seeds", type=int, default=10, help="seeds (commands)")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     names = options.names
     folder = Path(names.pop(0)) if options.what == "runs" and names else None
     if unknown := set(names) - set(PRESETS):
