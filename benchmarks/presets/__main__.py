@@ -51,12 +51,12 @@ def measured(
         )
 
 
-def show(rows: Sequence[Row]) -> None:
-    """Print rows, and what follows for each preset."""
-    for row in rows:
-        print(_line(row))
-    for preset, verdict in certified(rows).items():
-        print(f"{preset:18s} {verdict}")
+def read(presets: Sequence[Preset], folder: Path, commit: str) -> Iterator[Row]:
+    """Rows of the bare agents whose runs are below a folder."""
+    rows = [row for preset in presets for row in rows_of_runs(preset, folder, commit)]
+    if not rows:
+        raise ValueError(f"{folder} must hold runs of certify_<preset>: there are none")
+    yield from rows
 
 
 def _line(row: Row) -> str:
@@ -87,24 +87,22 @@ def main() -> None:
     from gdrl_torchrl.runs.place import provenance
 
     commit = provenance()["git"] or "unknown"
-    if options.what == "runs":
-        if folder is None:
-            fail("runs must be followed by the folder of the runs")
-        try:
-            rows = [
-                row for preset in presets for row in rows_of_runs(preset, folder, commit)
-            ]
-        except (OSError, ValueError) as error:
-            fail(error)
-        if not rows:
-            fail(f"{folder} must be a folder with runs certify_<preset>: there are none")
-        show(update_table(rows))
-        return
-    everything: list[Row] = []
-    for row in measured(presets, options.episodes, commit, options.threads):
-        everything = update_table([row])
-        print(_line(row), flush=True)
-    show(everything)
+    if options.what == "measure":
+        found = measured(presets, options.episodes, commit, options.threads)
+    elif folder is None:
+        fail("runs must be followed by the folder of the runs")
+    else:
+        found = read(presets, folder, commit)
+    rows: list[Row] = []
+    try:
+        for row in found:
+            # At once: there may be an hour between two rows.
+            rows = update_table([row])
+            print(_line(row), flush=True)
+    except (OSError, ValueError) as error:
+        fail(error)
+    for name, verdict in certified(rows).items():
+        print(f"{name:18s} {verdict}")
 
 
 if __name__ == "__main__":
