@@ -11,9 +11,11 @@ criterion, and printed.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "disable")
 
@@ -23,38 +25,43 @@ from benchmarks.presets.table import Row, certified, make_row, update_table
 from gdrl_torchrl.cli.shared.arguments import fail
 
 
-def measured(preset: Preset, episodes: int, commit: str, num_threads: int) -> Iterable[Row]:
-    """The rows of the controller and of the untrained networks."""
+def measured(
+    presets: Sequence[Preset], episodes: int, commit: str, num_threads: int
+) -> Iterator[Row]:
+    """Rows of the controllers, then of the untrained networks, as they are found."""
+    # Both take seconds to import, and commands need neither.
     from benchmarks.presets.measure import scripted, untrained
 
-    settings = {
-        "episodes": episodes,
-        "total_steps": None,
-        "settings": " ".join(preset.overrides),
-        "commit": commit,
-    }
-    rate = scripted(preset.overrides, episodes, num_threads=num_threads)
-    yield make_row(preset.name, "scripted", [rate], seeds=[0], **settings)
+    known: dict[str, Any] = {"episodes": episodes, "total_steps": None, "commit": commit}
+    for preset in presets:
+        rate = scripted(preset.overrides, episodes, num_threads=num_threads)
+        settings = " ".join(preset.overrides)
+        yield make_row(
+            preset.name, "scripted", [rate], seeds=[0], settings=settings, **known
+        )
     seeds = range(10)
-    for mode in ("greedy", "sampled"):
+    for preset, mode in itertools.product(presets, ("greedy", "sampled")):
         rates = untrained(
             preset.overrides, mode, episodes, seeds=seeds, num_threads=num_threads
         )
+        settings = " ".join(preset.overrides)
         criterion = f"untrained_{mode}"
-        yield make_row(preset.name, criterion, list(rates), seeds=seeds, **settings)
-
-
-def show(rows: Iterable[Row]) -> None:
-    """Print rows, and what follows for each preset."""
-    rows = list(rows)
-    for row in rows:
-        print(
-            f"{row.preset:18s} {row.criterion:18s} {row.figure} "
-            f"[{row.low}, {row.high}] {row.verdict}",
-            flush=True,
+        yield make_row(
+            preset.name, criterion, list(rates), seeds=seeds, settings=settings, **known
         )
-    for preset, verdict in certified(rows).items():
-        print(f"{preset:18s} {verdict}")
+
+
+def read(presets: Sequence[Preset], folder: Path, commit: str) -> Iterator[Row]:
+    """Rows of the bare agents whose runs are below a folder."""
+    rows = [row for preset in presets for row in rows_of_runs(preset, folder, commit)]
+    if not rows:
+        raise ValueError(f"{folder} must hold runs of certify_<preset>: there are none")
+    yield from rows
+
+
+def _line(row: Row) -> str:
+    figure = f"{row.figure} [{row.low}, {row.high}]"
+    return f"{row.preset:18s} {row.criterion:18s} {figure} {row.verdict}"
 
 
 def main() -> None:
@@ -67,7 +74,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=200, help="worlds (measure)")
     parser.add_argument("--threads", type=int, default=0, help="of the simulation")
     parser.add_argument("--seeds", type=int, default=10, help="seeds (commands)")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     names = options.names
     folder = Path(names.pop(0)) if options.what == "runs" and names else None
     if unknown := set(names) - set(PRESETS):
@@ -80,23 +87,22 @@ def main() -> None:
     from gdrl_torchrl.runs.place import provenance
 
     commit = provenance()["git"] or "unknown"
-    if options.what == "runs":
-        if folder is None:
-            fail("runs must be followed by the folder of the runs")
-        try:
-            rows = [
-                row for preset in presets for row in rows_of_runs(preset, folder, commit)
-            ]
-        except (OSError, ValueError) as error:
-            fail(error)
-        if not rows:
-            fail(f"{folder} must be a folder with runs certify_<preset>: there are none")
-        show(update_table(rows))
-        return
-    for preset in presets:
-        rows = list(measured(preset, options.episodes, commit, options.threads))
-        update_table(rows)
-        show(rows)
+    if options.what == "measure":
+        found = measured(presets, options.episodes, commit, options.threads)
+    elif folder is None:
+        fail("runs must be followed by the folder of the runs")
+    else:
+        found = read(presets, folder, commit)
+    rows: list[Row] = []
+    try:
+        for row in found:
+            # At once: there may be an hour between two rows.
+            rows = update_table([row])
+            print(_line(row), flush=True)
+    except (OSError, ValueError) as error:
+        fail(error)
+    for name, verdict in certified(rows).items():
+        print(f"{name:18s} {verdict}")
 
 
 if __name__ == "__main__":

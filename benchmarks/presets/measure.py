@@ -27,6 +27,10 @@ MODES = {
 }
 
 
+_MEASURED: dict[tuple[str, str, int, bytes], np.ndarray] = {}
+"""Success by task, mode, episodes and weights."""
+
+
 def controller_seeds(episodes: int) -> np.ndarray:
     """Seeds of the worlds that controllers are measured on, int64 ``[N]``."""
     return episode_seeds(Stream.CONTROLLER, 0, 0, episodes)
@@ -66,7 +70,7 @@ def untrained(
     """Share of episodes that networks with initial weights succeed in, ``[networks]``.
 
     Networks of Rainbow choose alike in both modes: what is random in its training is no
-    part of the network.
+    part of the network. What was measured before, as for a regime, is not measured again.
 
     Args:
         overrides: The preset, as on the command line.
@@ -81,6 +85,13 @@ def untrained(
     for seed in seeds:
         seed_everything(seed)
         actors.append(make_actor(task, config.network, config.algorithm))
+    exploration = getattr(config.algorithm, "exploration", "")
+    mode = "greedy" if exploration == "epsilon_greedy" else mode
+    genomes: Any = torch.stack([genome_of(actor) for actor in actors])
+    weights = torch.cat([w.flatten() for w in genomes.values(True, True)])
+    key = (repr(config.task), mode, episodes, weights.numpy().tobytes())
+    if key in _MEASURED:
+        return _MEASURED[key]
     evaluator = PopulationEvaluator(
         actors[0],
         num_episodes=episodes,
@@ -88,9 +99,9 @@ def untrained(
         exploration_type=MODES[mode],
     )
     try:
-        genomes: Any = torch.stack([genome_of(actor) for actor in actors])
         seeds_of_worlds = torch.from_numpy(controller_seeds(episodes))
         result: Any = evaluator.evaluate(genomes, seeds=seeds_of_worlds)
     finally:
         evaluator.close()
-    return result[keys.SUCCESSES].double().mean(dim=1).numpy()
+    _MEASURED[key] = result[keys.SUCCESSES].double().mean(dim=1).numpy()
+    return _MEASURED[key]

@@ -229,19 +229,20 @@ class CorridorArena(Arena):
 
 
 class TrapArena(Arena):
-    """A U of three walls whose mouth is to the start; the goal is behind its bottom.
+    """A U of three walls: the start is in its mouth, the goal behind its bottom.
 
-    The straight way to the goal leads into the U. So progress towards the goal, which
-    the reward pays for, leads to a place from where it can only be lost again. The U is
-    turned and displaced in every layout, and with it go the places of start and goal.
+    Progress towards the goal, which the reward pays for, leads into the U. The ends of
+    its sides are farther from the goal than the start is, so every way there gives up
+    progress first. The U is turned and displaced in every layout, and with it go the
+    places of start and goal.
     """
 
     name = "trap"
     half_extent_m = (3.5, 3.5)
-    goal_distance_m = 2.0
+    goal_distance_m = 1.0
 
     _WIDTH_M, _DEPTH_M, _HALF_WALL_M = 2.4, 1.2, 0.05
-    _START, _GOAL = (-2.0, 0.4), (1.0, 0.3)
+    _START, _GOAL = (-1.0, 0.2), (1.0, 0.3)
     """Along the U's axis from its bottom, and reach around there, metres."""
     _DISPLACEMENT_M = 0.7
 
@@ -263,7 +264,7 @@ class TrapArena(Arena):
         return place(x, y, yaw)
 
     def cells_that_may_hold(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Starts are before the mouth of the U, goals behind its bottom."""
+        """Starts are in the mouth of the U, goals behind its bottom."""
         x, y, cosine, sine = places[4]
         start, goal = (
             np.hypot(self.cells[0] - x - along * cosine, self.cells[1] - y - along * sine)

@@ -10,8 +10,8 @@ from gdrl_tasks.indoor.arena import CorridorArena
 
 START_ROOM_M = 0.4
 GOAL_ROOM_M = 0.3
-FARTHEST_GOAL_M = {"paper": 9.9, "scatter": 9.9, "corridor": 11.1, "trap": 3.9}
-LEAST_WAY_M = {"paper": 0.5, "scatter": 1.0, "corridor": 5.0, "trap": 2.0}
+FARTHEST_GOAL_M = {"paper": 9.9, "scatter": 9.9, "corridor": 11.1, "trap": 2.6}
+LEAST_WAY_M = {"paper": 0.5, "scatter": 1.0, "corridor": 5.0, "trap": 1.0}
 INSIDE_M = {
     "paper": (3.5, 3.5),
     "scatter": (3.5, 3.5),
@@ -192,9 +192,14 @@ def test_the_trap_is_a_u_between_start_and_goal_turned_any_way(indoor_pose):
         in_the_frame_of_the_trap(both, bottom), 0, -1
     )
     # The mouth is 1.15 m before the bottom, and the goal a metre behind it.
-    assert before.max() < -1.5
+    assert np.abs(before + 1.0).max() < 0.3
     assert np.abs(behind - 1.0).max() < 0.4
     assert np.abs([beside, across]).max() < 0.5
+    # Whoever gets out of the U has to go farther away from the goal than the start is.
+    away = np.linalg.norm(both[:, :1] - both[:, 1:], axis=-1)
+    for side in (first, second):
+        end = side[:, :2] - 0.55 * side[:, 2:]
+        assert (np.linalg.norm(end - drawn["goal"], axis=-1) > away[:, 0] + 0.1).all()
     yaw = np.arctan2(bottom[:, 3], bottom[:, 2])
     assert np.histogram(yaw, bins=4, range=(-np.pi, np.pi))[0].min() > 25
     assert (np.ptp(bottom[:, :2], axis=0) > 1.5).all()
@@ -210,11 +215,10 @@ def test_progress_leads_into_the_trap():
         result = worlds.step(pursue_goal(observation), running)
         goes_on = result.outcome == Outcome.RUNNING
         running, observation = running[goes_on], result.observation[goes_on]
-    # Nobody gets to the goal, though nearly all come within two metres of it and are
-    # paid for more than a metre of progress.
+    # Nobody gets to the goal, though they are paid for coming nearer.
     assert (worlds.arrays["outcome"] == Outcome.COLLISION).all()
     assert np.median(worlds.arrays["distance"]) < 1.5
-    assert np.median(worlds.arrays["episode_return"]) > 10.0
+    assert np.median(worlds.arrays["episode_return"]) > 5.0
 
 
 class OftenShut(CorridorArena):
