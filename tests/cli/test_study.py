@@ -51,7 +51,7 @@ def test_every_study_that_is_shipped_can_be_run(name, tmp_path):
     ("arguments", "said"),
     [
         ([], "study=<name> must be given once"),
-        (["study=pilto"], "did you mean pilot?"),
+        (["study=pilto"], "did you mean study=pilot?"),
         (["study=pilot", "workers=0"], "workers=0 must be"),
         (["study=pilot", "workers=two"], "workers=two must be a whole number"),
         (["study=pilot", "seed=1"], "seed=1 must be one of"),
