@@ -64,13 +64,13 @@ def test_a_controller_that_is_measured_again_agrees_with_the_table(name):
 
 @pytest.mark.parametrize(
     "row",
-    [row for row in ROWS.values() if row.criterion == "untrained_sampled"],
-    ids=lambda row: row.preset,
+    [row for row in ROWS.values() if row.criterion.startswith("untrained_")],
+    ids=lambda row: f"{row.preset}-{row.criterion}",
 )
 def test_untrained_networks_that_are_measured_again_agree_with_the_table(row):
-    episodes = 5
+    episodes, mode = 5, row.criterion.removeprefix("untrained_")
     overrides = PRESETS[row.preset].overrides
-    rates = untrained(overrides, "sampled", episodes, num_threads=1)
+    rates = untrained(overrides, mode, episodes, num_threads=1)
     assert agrees(list(rates), episodes, row)
 
 
@@ -79,6 +79,12 @@ def agrees(rates, episodes, row):
     count = len(rates) * episodes
     own = binomtest(round(sum(rates) * episodes), count).proportion_ci(0.99)
     return own.low <= float(row.high) and float(row.low) <= own.high
+
+
+def test_a_regime_is_of_the_task_of_its_preset():
+    for preset in PRESETS.values():
+        task = preset.choices[0].removeprefix("task=")
+        assert ROWS[preset.name, "scripted"].success == ROWS[task, "scripted"].success
 
 
 def test_studies_compare_on_certified_presets_only():
