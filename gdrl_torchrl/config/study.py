@@ -26,6 +26,9 @@ class StudyMethod:
     overrides: list[str] = dataclasses.field(default_factory=list)
     """What makes a run one of this method, as on the command line."""
 
+    def __post_init__(self) -> None:
+        check_fields(self, "study.methods")
+
 
 @dataclasses.dataclass
 class Hypothesis:

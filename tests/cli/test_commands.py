@@ -36,6 +36,7 @@ EVALUATION_KEYS = [
     "seed",
     "episodes",
     "success_rate",
+    "success_rate_sampled",
     "collision_rate",
     "timeout_rate",
     "capsized_rate",

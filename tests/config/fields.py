@@ -12,6 +12,7 @@ from gdrl_tasks import task_names, task_options
 from gdrl_torchrl.agents.registry import algorithm_configs
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
 from gdrl_torchrl.config.search import SearchConfig
+from gdrl_torchrl.config.study import Hypothesis, StudyConfig, StudyMethod
 from gdrl_torchrl.evolution.settings import EVOLUTIONS
 
 
@@ -28,6 +29,9 @@ PARTS = {
 CONFIGS = [
     ("", ExperimentConfig),
     ("search", SearchConfig),
+    ("study", StudyConfig),
+    ("study.methods", StudyMethod),
+    ("study.hypotheses", Hypothesis),
     *PARTS.items(),
     *(("algorithm", config) for config in algorithm_configs().values()),
     *(("evolution", config) for config in EVOLUTIONS.values()),
@@ -35,6 +39,11 @@ CONFIGS = [
 ]
 NEEDED = {
     SearchConfig: {"params": {"seed": "choice(0, 1)"}},
+    StudyConfig: {
+        "tasks": {"near": []},
+        "methods": {"ppo": StudyMethod(["near"])},
+        "total_steps": {"near": 10},
+    },
     BudgetConfig: {"agent_steps": 10},
 }
 

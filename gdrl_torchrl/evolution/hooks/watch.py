@@ -58,8 +58,8 @@ class SuccessWindow:
             del self._open[first]
 
     def is_open(self, episode: int) -> bool:
-        """Whether an episode has begun and is not in the window yet."""
-        return episode in self._open
+        """Whether an episode has begun and has not ended."""
+        return self._open.get(episode, True) is None
 
     def forget_running(self) -> None:
         """Drop the episodes that have not ended: they never will."""

@@ -517,6 +517,14 @@ def test_episodes_numbered_anew_after_a_restart_do_not_stop_it(trajectories_from
     assert restored.watch.window.rate == 1.0
 
 
+def test_an_old_episode_that_waits_for_others_is_not_one_that_is_numbered_anew(actor):
+    watch = hook_of(actor, ScriptedEvaluator(PARENT_WINS)).watch
+    # Episode 1 has ended and waits for 0, which never ends: the process was killed.
+    watch.observe(batch_of("0", "1+"))
+    watch.observe(batch_of("0+1+", "22"))
+    assert watch.episodes_completed == 3
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -356,10 +356,12 @@ def test_every_goal_that_is_drawn_can_be_reached_from_its_start(arena, indoor_po
         flooded = fine.reachable(goal, FOOTPRINT_M)
         assert flooded[fine.cell(start)]
         if seed < 3:
-            # And the way is as long as Dijkstra's, a tenth at most for the coarse grid.
+            # And the way is as long as Dijkstra's, a tenth at most for the coarse grid, and
+            # a bit more where it bends around the walls of the trap.
+            most = 1.15 if arena == "trap" else 1.1
             length = fine.lengths(goal, FOOTPRINT_M)[fine.cell(start)]
             shortest = episode.arrays["shortest_path"]
-            assert 0.98 * length - 0.05 <= shortest <= 1.1 * length + 0.1
+            assert 0.98 * length - 0.05 <= shortest <= most * length + 0.1
 
 
 @every_arena
