@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gdrl_torchrl.reports.drawing.figures import Looks, profiles_panel
@@ -17,8 +15,12 @@ from gdrl_torchrl.reports.page.content import (
     with_limits,
 )
 from gdrl_torchrl.reports.statistics.averages import stratified_iqm
-from gdrl_torchrl.reports.statistics.bootstrap import bootstrap_limits, estimate
-from gdrl_torchrl.reports.statistics.comparisons import improvement
+from gdrl_torchrl.reports.statistics.bootstrap import estimate
+from gdrl_torchrl.reports.statistics.probabilities import (
+    improvement_over_tasks,
+    mean_with_limits,
+    wilson_limits,
+)
 
 _THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
@@ -52,8 +54,8 @@ def _improvements(evidence: Evidence, methods: list[str], tasks: tuple[str, ...]
     def cell(row: str, column: str) -> str:
         if row == column:
             return UNKNOWN
-        strata = [evidence.arm(t, m).scores for m in (row, column) for t in tasks]
-        return with_limits(estimate(strata, _mean_improvement), 2)
+        pairs = [[evidence.arm(t, m).scores for m in (row, column)] for t in tasks]
+        return with_limits(improvement_over_tasks([(x, y) for x, y in pairs]), 2)
 
     where = tasks[0] if len(tasks) == 1 else "all tasks, each with the same weight"
     return Table(
@@ -62,13 +64,6 @@ def _improvements(evidence: Evidence, methods: list[str], tasks: tuple[str, ...]
         ("", *methods),
         [(row, *(cell(row, column) for column in methods)) for row in methods],
     )
-
-
-def _mean_improvement(*strata: np.ndarray, axis: int = -1) -> Any:
-    """Mean over tasks; first come the tasks of the one method, then of the other."""
-    half = len(strata) // 2
-    pairs = zip(strata[:half], strata[half:], strict=True)
-    return np.mean([improvement(x, y, axis) for x, y in pairs], axis=0)
 
 
 def _over_tasks(evidence: Evidence, methods: list[str]) -> Table:
@@ -83,10 +78,6 @@ def _over_tasks(evidence: Evidence, methods: list[str]) -> Table:
         ("method", f"IQM of {name}"),
         rows,
     )
-
-
-def _mean_share(*strata: np.ndarray, axis: int = -1) -> Any:
-    return np.mean([stratum.mean(axis=axis) for stratum in strata], axis=0)
 
 
 def _profiles(evidence: Evidence, methods: list[str], looks: Looks) -> Figure:
@@ -118,8 +109,7 @@ def _profiles(evidence: Evidence, methods: list[str], looks: Looks) -> Figure:
 
 def _profile(scores: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Thresholds, mean over tasks of the share above them, and its limits, ``[T]`` each."""
-    above = [(s[None, :] > _THRESHOLDS[:, None]).astype(np.float64) for s in scores]
-    low = high = np.full(len(_THRESHOLDS), np.nan)
-    if min(len(s) for s in scores) > 1:
-        low, high = bootstrap_limits(above, _mean_share, resamples=2000)
-    return _THRESHOLDS, _mean_share(*above), low, high
+    shares = np.array([np.mean(s[None, :] > _THRESHOLDS[:, None], axis=1) for s in scores])
+    limits = [wilson_limits(p, len(s)) for p, s in zip(shares, scores, strict=True)]
+    low, high = (np.array(side) for side in zip(*limits, strict=True))
+    return _THRESHOLDS, *mean_with_limits(shares, low, high)

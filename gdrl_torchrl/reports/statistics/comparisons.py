@@ -1,4 +1,4 @@
-"""Whether one method is better than another, and by how much."""
+"""Whether the mean score of one method is above that of another, and by how much."""
 
 from __future__ import annotations
 
@@ -13,29 +13,6 @@ from scipy import optimize, stats
 from gdrl_torchrl.reports.statistics.bootstrap import CONFIDENCE, Estimate
 
 Alternative = Literal["greater", "less", "two-sided"]
-
-
-def improvement(x: np.ndarray, y: np.ndarray, axis: int = -1) -> Any:
-    """Probability of improvement, P(X > Y) + P(X = Y) / 2 over all pairs of runs.
-
-    It is the statistic U of Mann and Whitney over the number of pairs (Agarwal et al.
-    2021, section 4.3).
-
-    Args:
-        x: Scores of runs of the one method, ``[..., N]``.
-        y: Scores of runs of the other, ``[..., M]``.
-        axis: The last one.
-
-    Returns:
-        Probabilities ``[...]``.
-
-    Examples:
-        >>> float(improvement(np.array([0.5, 0.9]), np.array([0.5, 0.7])))
-        0.625
-    """
-    x, y = np.moveaxis(x, axis, -1), np.moveaxis(y, axis, -1)
-    signs = np.sign(x[..., :, None] - y[..., None, :])
-    return 0.5 + 0.5 * signs.mean(axis=(-2, -1))
 
 
 def welch(
