@@ -33,11 +33,11 @@ class Band:
 
 
 def drawn(run: Run, cost: str) -> tuple[np.ndarray, np.ndarray]:
-    """A run's curve over a cost, ``[K]`` each; of a run that failed, success is 0."""
+    """A run's curve over a cost, ``[K]`` each; one that failed has none."""
     x = run.curve.get(cost, np.empty(0))
     y = run.curve.get("success_rate", np.empty(0))
     known = np.isfinite(x) & np.isfinite(y)
-    return x[known], np.where(run.failed, 0.0, y[known])
+    return x[known], y[known]
 
 
 def band_of(runs: Sequence[Run], cost: str) -> Band | None:

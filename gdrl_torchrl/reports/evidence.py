@@ -24,8 +24,10 @@ class Run:
         origin: What it was made of: its configuration, code and folder, in words.
         failed: Whether it ended with an error; then its score and success are 0.
         score: What methods are compared by.
-        numbers: Final success and costs by name; what is unknown is missing.
-        curve: Success over what it cost, columns ``[K]`` by name; empty if there is none.
+        numbers: Final success and costs by name; what is unknown is missing, as are the
+            costs of a run that failed.
+        curve: Success over what it cost, columns ``[K]`` by name; empty if there is none,
+            or the run failed.
     """
 
     seed: int

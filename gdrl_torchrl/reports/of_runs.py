@@ -107,20 +107,17 @@ def runs_evidence(folder: str | Path) -> Evidence:
 
 def _found(run: Path, row: Mapping[str, Any], folder: Path) -> _Found:
     failed = row["state"] == "failed"
-    numbers = {} if failed else _numbers(read_evaluation(run))
+    numbers = {"success_rate": 0.0, "success_rate_sampled": 0.0}
     curve: dict[str, np.ndarray] = {}
-    if (run / "metrics.csv").exists():
+    if not failed:
         metrics = read_metrics(run)
-        numbers |= _last(metrics)
+        numbers = _numbers(read_evaluation(run)) | _last(metrics)
         curve = _curve(metrics)
-    score = 0.0 if failed else numbers["success_rate"]
-    if failed:
-        numbers |= {"success_rate": 0.0, "success_rate_sampled": 0.0}
     origin = f"{run.relative_to(folder)}, code {_code(run)}"
     return _Found(
         row["task"],
         (row["algorithm"], row["name"], run.parent.name),
-        Run(row["seed"], origin, failed, score, numbers, curve),
+        Run(row["seed"], origin, failed, numbers["success_rate"], numbers, curve),
     )
 
 

@@ -138,9 +138,9 @@ def _key(row: Mapping[str, Any]) -> Key:
 
 def _run(row: Mapping[str, Any], points: Sequence[Mapping[str, Any]], metric: str) -> Run:
     failed = row["state"] == "failed"
-    numbers = {name: _number(row.get(name)) for name in _NUMBERS}
-    if failed:
-        numbers |= dict.fromkeys(("success_rate", "success_rate_sampled"), 0.0)
+    # What a run that failed had cost says nothing of what one costs.
+    names = ("success_rate", "success_rate_sampled") if failed else _NUMBERS
+    numbers = {name: 0.0 if failed else _number(row.get(name)) for name in names}
     by_point = sorted(points, key=lambda point: point["point"])
     return Run(
         seed=int(row["seed"]),
@@ -176,7 +176,7 @@ def _hypotheses(
 def _facts(
     digest: str, protocol: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
 ) -> Iterable[tuple[str, str]]:
-    yield "protocol", f"{protocol['name']}, sha256 {digest}"
+    yield "protocol", f"{protocol['name']}, sha256 {digest[:12]}..."
     for name, overrides in protocol["tasks"].items():
         steps = f"{protocol['total_steps'][name]:,} steps in all"
         yield f"task {name}", f"{' '.join(overrides)}; {steps}"
@@ -197,8 +197,8 @@ def _remarks(planned: Sequence[Key], rows: Mapping[Key, Any]) -> Iterable[str]:
     missing = sum(key not in rows for key in planned)
     if missing:
         yield (
-            f"{missing} of {len(planned)} registered runs are missing: what is said of "
-            "tests is preliminary until they are there."
+            f"Registered runs that are missing: {missing} of {len(planned)}. What is said "
+            "of tests is preliminary until they are there."
         )
     others = len(set(rows) - set(planned))
     if others:

@@ -97,12 +97,26 @@ def results_of(digest, task, method, seed, rng):
         "wall_s": last["wall_s"],
         "evaluations": 12 if population else 0,
         "switches": 7 if population else 0,
-        "configuration": f"{hash_of(method)}",
+        "configuration": hash_of(method),
         "code": "0123abc",
         "packages": "torch 2.14.1",
         "error": "",
     }
     return run, curve
+
+
+def failure_of(run):
+    """The row of a run that failed."""
+    successes = ("area", "area_sampled", "success_rate", "success_rate_sampled")
+    unknown = ("return_mean", "episode_steps", "episode_s", "speed_m_s")
+    costs = ("agent_steps", "population_steps", "agent_episodes", "evaluations", "switches")
+    return (
+        run
+        | dict.fromkeys(successes, 0.0)
+        | dict.fromkeys(unknown, float("nan"))
+        | dict.fromkeys(costs, 0)
+        | {"wall_s": 0.0, "state": "failed", "error": "it diverged"}
+    )
 
 
 def hash_of(method):
@@ -123,10 +137,7 @@ def write_study(results, seeds=range(8), leave_out=(), failed=(), hypotheses=Non
                 if (method, seed) in leave_out:
                     continue
                 if (method, seed) in failed:
-                    zero = dict.fromkeys(("area", "area_sampled", "success_rate"), 0.0)
-                    run |= zero | {"success_rate_sampled": 0.0, "state": "failed"}
-                    run["error"] = "ValueError: it diverged"
-                    curve = curve[:5]
+                    run, curve = failure_of(run), []
                 study.add(run, curve)
     return results / "invented"
 

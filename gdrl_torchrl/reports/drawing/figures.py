@@ -116,16 +116,19 @@ def curves_panel(
     figure, axes = _new_panel(3.5)
     titles = {}
     of_paper = {paper_method(a.method): looks[a.method]["color"] for a in arms}
-    for curve in paper:
-        look = {"color": of_paper.get(curve.method, style.GREY), "ls": (0, (4, 2))}
+    for k, curve in enumerate(paper):
+        # Each with dashes of its own: those of methods that we have not run are all grey.
+        colour = of_paper.get(curve.method, style.GREY)
+        dashes: Any = (0, (4, 1 + 1.5 * k))
         axes.plot(
             curve.agent_episodes,
             curve.success,
+            color=colour,
+            ls=dashes,
             lw=1.3,
             alpha=0.8,
             zorder=1,
             label=f"{curve.method}, paper",
-            **look,
         )
     for row, arm in enumerate(arms):
         for k, run in enumerate(arm.runs):

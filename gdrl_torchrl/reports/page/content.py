@@ -84,6 +84,7 @@ class Section:
 
 
 UNKNOWN = "–"
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -111,23 +112,23 @@ def count(value: float) -> str:
 
 
 def with_limits(estimate: Estimate, digits: int = 3) -> str:
-    """An estimate and its interval.
+    r"""An estimate and its interval.
 
     Examples:
         >>> with_limits(Estimate(0.5, 0.25, 0.75), 2), with_limits(Estimate(0.5), 2)
-        ('0.50 [0.25, 0.75]', '0.50')
+        ('0.50\xa0[0.25,\xa00.75]', '0.50')
     """
     if math.isnan(estimate.low):
         return number(estimate.value, digits)
-    low, high = number(estimate.low, digits), number(estimate.high, digits)
-    return f"{number(estimate.value, digits)} [{low}, {high}]"
+    value, low, high = (number(x, digits) for x in dataclasses.astuple(estimate))
+    return f"{value} [{low}, {high}]".replace(" ", _NO_BREAK)
 
 
 def p_value(p: float) -> str:
-    """A p value as text.
+    r"""A p value as text.
 
     Examples:
         >>> p_value(0.0321), p_value(0.00001)
-        ('0.032', '< 0.001')
+        ('0.032', '<\xa00.001')
     """
-    return "< 0.001" if p < 0.001 else number(p)
+    return f"<{_NO_BREAK}0.001" if p < 0.001 else number(p)

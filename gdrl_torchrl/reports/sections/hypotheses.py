@@ -24,7 +24,7 @@ from gdrl_torchrl.reports.statistics.comparisons import (
 
 
 @dataclasses.dataclass(frozen=True)
-class Tested:
+class Outcome:
     """A hypothesis with its tests.
 
     Attributes:
@@ -68,7 +68,7 @@ class Tested:
         return text if self.is_whole else f"preliminary, runs are missing: {text}"
 
 
-def tested(evidence: Evidence) -> list[Tested]:
+def outcomes(evidence: Evidence) -> list[Outcome]:
     """All registered hypotheses with their tests."""
     found = []
     for hypothesis in evidence.hypotheses:
@@ -83,7 +83,7 @@ def tested(evidence: Evidence) -> list[Tested]:
             welch(x, y, alternative) if enough else (Estimate(math.nan), math.nan)
         )
         found.append(
-            Tested(
+            Outcome(
                 hypothesis,
                 (len(x), len(y)),
                 difference,
@@ -111,7 +111,7 @@ def tested(evidence: Evidence) -> list[Tested]:
 
 def hypotheses_section(evidence: Evidence) -> Section:
     """Differences, tests and decisions; and what these runs could have shown."""
-    results = tested(evidence)
+    results = outcomes(evidence)
     name = evidence.words.score_name
     tests = Table(
         f"Registered hypotheses: difference of mean {name} with its 95 % interval (Welch), "

@@ -42,12 +42,13 @@ def _caption(task: str) -> str:
     text = (
         f"{task}: every run is a thin line, the thick one is the interquartile mean with "
         "its 95 % band at each point, as far as every run has come. A run that failed "
-        "counts as 0. Point at a line to see its seed and run."
+        "counts as 0, and has no line. Point at a line to see its seed and run."
     )
     if paper_task(task) is not None:
         text += (
-            f" Dashed over the agent's episodes: the paper ({paper()['source']}), "
-            "which shows success of training over the last 100 episodes."
+            " Dashed over the agent's episodes: Figure 2 of the paper "
+            f"({paper()['source']}), read off within 0.02: success of training over the "
+            "last 100 episodes."
         )
     return text
 

@@ -9,7 +9,7 @@ from gdrl_torchrl.reports.page.content import Section, Table, Text
 def question_section(evidence: Evidence) -> Section:
     """The question, the protocol, and runs that ended, failed or are missing."""
     text = evidence.question or "Nobody has written down a question before these runs."
-    facts = Table("What this page is made of", ("", "value"), list(evidence.facts))
+    facts = Table("What this page is made of", ("what", "is"), list(evidence.facts))
     runs = Table(
         "What was run. A run that failed counts as 0.",
         ("task", "method", "seeds that ended", "failed", "missing"),

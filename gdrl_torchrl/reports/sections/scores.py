@@ -51,7 +51,7 @@ def scores_section(evidence: Evidence, looks: Looks) -> Section:
         ],
     )
     costs = Table(
-        "What a run cost, means",
+        "What a run that ended has cost, means",
         (
             "task",
             "method",

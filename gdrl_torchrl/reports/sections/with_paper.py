@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from gdrl_torchrl.reports.evidence import Arm, Evidence
-from gdrl_torchrl.reports.page.content import Section, Table, Text, number
+from gdrl_torchrl.reports.page.content import UNKNOWN, Section, Table, Text, number
 from gdrl_torchrl.reports.paper import paper, paper_method, paper_table
 
 _NUMBERS = {"return_mean": 1, "episode_steps": 0, "episode_s": 1, "speed_m_s": 2}
@@ -22,9 +20,7 @@ def paper_section(evidence: Evidence) -> Section | None:
             rows.append((task, arm.method, "ours", *_ours(arm)))
             row = theirs.get(paper_method(arm.method) or "")
             if row is not None:
-                values = [row.get(name, math.nan) for name in _OF_PAPER]
-                digits = _NUMBERS.values()
-                texts = [number(x, d) for x, d in zip(values, digits, strict=True)]
+                texts = [f"{row[name]:g}" if name in row else UNKNOWN for name in _OF_PAPER]
                 rows.append((task, row["method"], "paper", *texts))
     if not rows:
         return None
