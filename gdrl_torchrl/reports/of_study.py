@@ -86,7 +86,8 @@ def study_evidence(
         for task, method in _pairs(protocol)
         for seed in protocol["seeds"]
     ]
-    rows = {_key(row): row for row in runs if row["protocol"] == digest[:12]}
+    of_all = list(runs)
+    rows = {_key(row): row for row in of_all if row["protocol"] == digest[:12]}
     curves: dict[Key, list[Mapping[str, Any]]] = {}
     for point in points:
         curves.setdefault(_key(point), []).append(point)
@@ -107,7 +108,7 @@ def study_evidence(
         question=protocol["question"],
         words=_WORDS[protocol["metric"]],
         facts=tuple(_facts(digest, protocol, known)),
-        remarks=tuple(_remarks(planned, rows)),
+        remarks=tuple(_remarks(planned, rows, len(of_all) - len(rows))),
         sources=tuple(_sources(folder, digest, protocol, known)),
         arms=tuple(arms),
         hypotheses=tuple(_hypotheses(protocol, labels)),
@@ -193,16 +194,20 @@ def _facts(
         yield name, ", ".join(sorted({str(row[name]) for row in rows if row[name]}))
 
 
-def _remarks(planned: Sequence[Key], rows: Mapping[Key, Any]) -> Iterable[str]:
+def _remarks(
+    planned: Sequence[Key], rows: Mapping[Key, Any], of_others: int
+) -> Iterable[str]:
     missing = sum(key not in rows for key in planned)
     if missing:
         yield (
             f"Registered runs that are missing: {missing} of {len(planned)}. What is said "
             "of tests is preliminary until they are there."
         )
-    others = len(set(rows) - set(planned))
-    if others:
-        yield f"Left out: {others} runs that the protocol does not name."
+    unplanned = len(set(rows) - set(planned))
+    if unplanned:
+        yield f"Left out, for the protocol does not name them: {unplanned} runs."
+    if of_others:
+        yield f"Left out, for they are of another protocol: {of_others} runs."
 
 
 def _sources(

@@ -150,13 +150,21 @@ def test_a_row_that_was_changed_by_hand_is_refused(tmp_path):
         read_study(folder)
 
 
-def test_runs_that_the_protocol_does_not_name_are_left_out(tmp_path):
-    folder = write_study(tmp_path, seeds=range(2))
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"seed": 99}, "the protocol does not name them"),
+        ({"seed": 1, "protocol": "0" * 12}, "they are of another protocol"),
+    ],
+)
+def test_runs_of_something_else_are_left_out_and_counted(tmp_path, change, why):
+    folder = write_study(tmp_path, seeds=range(2), leave_out=[("gppo", 1)])
     results = StudyResults(folder)
-    results.add(results.runs()[0] | {"seed": 99}, [])
+    first = next(row for row in results.runs() if row["method"] == "gppo")
+    results.add(first | change, [])
     evidence = read_study(folder)
-    assert all(run.seed < 2 for arm in evidence.arms for run in arm.runs)
-    assert "Left out: 1 runs that the protocol does not name." in evidence.remarks
+    assert [run.seed for run in evidence.arm("near", "gppo").runs] == [0]
+    assert f"Left out, for {why}: 1 runs." in evidence.remarks
 
 
 def test_power_is_at_the_level_of_holms_first_step(study):

@@ -20,7 +20,7 @@ _OPTIONS: Any = {
     "svg.hashsalt": "gdrl-report",
 }
 _NOTHING = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-_WIDE = "8"
+_WIDE = "5"
 """Width of what a pointer meets around a thin line, points."""
 
 

@@ -59,8 +59,8 @@ def _improvements(evidence: Evidence, methods: list[str], tasks: tuple[str, ...]
 
     where = tasks[0] if len(tasks) == 1 else "all tasks, each with the same weight"
     return Table(
-        f"Probability that a run of the row's method has a higher {name} than one of the "
-        f"column's, with its 95 % interval: {where}",
+        f"{where}: probability that a run of the row's method has a higher {name} than one "
+        "of the column's, with its 95 % interval",
         ("", *methods),
         [(row, *(cell(row, column) for column in methods)) for row in methods],
     )
