@@ -1,0 +1,115 @@
+"""Methods against each other, without hypotheses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gdrl_torchrl.reports.drawing.figures import Looks, profiles_panel
+from gdrl_torchrl.reports.evidence import Evidence
+from gdrl_torchrl.reports.page.content import (
+    UNKNOWN,
+    Figure,
+    Section,
+    Table,
+    Text,
+    with_limits,
+)
+from gdrl_torchrl.reports.statistics.averages import stratified_iqm
+from gdrl_torchrl.reports.statistics.bootstrap import estimate
+from gdrl_torchrl.reports.statistics.probabilities import (
+    improvement_over_tasks,
+    mean_with_limits,
+    wilson_limits,
+)
+
+_THRESHOLDS = np.linspace(0.0, 1.0, 101)
+
+
+def comparison_section(evidence: Evidence, looks: Looks) -> Section:
+    """Probability of improvement by task and over tasks, IQM over tasks, and profiles."""
+    tables = [
+        _improvements(evidence, [arm.method for arm in evidence.of_task(task)], (task,))
+        for task in evidence.tasks
+        if len(evidence.of_task(task)) > 1
+    ]
+    methods = list(evidence.on_all_tasks())
+    if len(evidence.tasks) > 1 and len(methods) > 1:
+        tables += [_over_tasks(evidence, methods)]
+        tables += [_improvements(evidence, methods, evidence.tasks)]
+    note = Text(
+        "These are of all pairs, not of registered hypotheses: they describe, and an "
+        "interval that leaves out one half is no test among so many."
+    )
+    return Section(
+        "comparison",
+        "Method against method",
+        (note, *tables, _profiles(evidence, methods, looks)),
+    )
+
+
+def _improvements(evidence: Evidence, methods: list[str], tasks: tuple[str, ...]) -> Table:
+    """A row and a column per method."""
+    name = evidence.words.score_name
+
+    def cell(row: str, column: str) -> str:
+        if row == column:
+            return UNKNOWN
+        pairs = [[evidence.arm(t, m).scores for m in (row, column)] for t in tasks]
+        return with_limits(improvement_over_tasks([(x, y) for x, y in pairs]), 2)
+
+    where = tasks[0] if len(tasks) == 1 else "all tasks, each with the same weight"
+    return Table(
+        f"{where}: probability that a run of the row's method has a higher {name} than one "
+        "of the column's, with its 95 % interval",
+        ("", *methods),
+        [(row, *(cell(row, column) for column in methods)) for row in methods],
+    )
+
+
+def _over_tasks(evidence: Evidence, methods: list[str]) -> Table:
+    name = evidence.words.score_name
+    rows = []
+    for method in methods:
+        strata = [evidence.arm(task, method).scores for task in evidence.tasks]
+        rows.append((method, with_limits(estimate(strata, stratified_iqm))))
+    return Table(
+        f"IQM of {name} over the runs of all tasks together, with its stratified 95 % "
+        "interval",
+        ("method", f"IQM of {name}"),
+        rows,
+    )
+
+
+def _profiles(evidence: Evidence, methods: list[str], looks: Looks) -> Figure:
+    """Performance profiles (Agarwal et al. 2021, section 4.2), by task and over tasks."""
+    name = evidence.words.score_name
+    panels = [
+        profiles_panel(
+            f"profiles-{k}",
+            {arm.method: _profile([arm.scores]) for arm in evidence.of_task(task)},
+            looks,
+            f"{name} on {task}",
+        )
+        for k, task in enumerate(evidence.tasks)
+        if evidence.of_task(task)
+    ]
+    if len(evidence.tasks) > 1 and methods:
+        profiles = {
+            method: _profile([evidence.arm(task, method).scores for task in evidence.tasks])
+            for method in methods
+        }
+        panels.append(profiles_panel("profiles", profiles, looks, f"{name}, all tasks"))
+    return Figure(
+        f"Performance profiles: share of runs whose {name} is above τ, with 95 % bands at "
+        "each τ. A curve that is higher everywhere is that of a better method.",
+        tuple(panels),
+        evidence.sources,
+    )
+
+
+def _profile(scores: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Thresholds, mean over tasks of the share above them, and its limits, ``[T]`` each."""
+    shares = np.array([np.mean(s[None, :] > _THRESHOLDS[:, None], axis=1) for s in scores])
+    limits = [wilson_limits(p, len(s)) for p, s in zip(shares, scores, strict=True)]
+    low, high = (np.array(side) for side in zip(*limits, strict=True))
+    return _THRESHOLDS, *mean_with_limits(shares, low, high)
