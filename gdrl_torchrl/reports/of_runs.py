@@ -81,15 +81,15 @@ def runs_evidence(folder: str | Path) -> Evidence:
             remarks.append(f"Left out: {row['damage']}")
     states = Counter(row["state"] for row in rows.values())
     remarks += [
-        f"Left out: {states[state]} that {what}."
-        for state, what in (("running", "is running"), ("stopped", "was interrupted"))
+        f"Left out, runs that {what}: {states[state]}."
+        for state, what in (("running", "go on"), ("stopped", "were interrupted"))
         if states[state]
     ]
     if not found:
         raise ValueError(f"runs={folder} must have a run below it that has ended")
     found, twins = _without_twins(found)
     if twins:
-        remarks.append(f"Left out: {twins} that are copies of other runs here.")
+        remarks.append(f"Left out, copies of other runs here: {twins}.")
     return Evidence(
         title=f"Runs of {folder.resolve().name}",
         question="",

@@ -205,9 +205,9 @@ def _remarks(
         )
     unplanned = len(set(rows) - set(planned))
     if unplanned:
-        yield f"Left out, for the protocol does not name them: {unplanned} runs."
+        yield f"Left out, for the protocol does not name them, runs: {unplanned}."
     if of_others:
-        yield f"Left out, for they are of another protocol: {of_others} runs."
+        yield f"Left out, for they are of another protocol, runs: {of_others}."
 
 
 def _sources(

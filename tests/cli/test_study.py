@@ -18,11 +18,16 @@ from gdrl_torchrl.studies.results import StudyResults
 from gdrl_torchrl.studies.study import Study
 from tests.small import tiny_options
 
+
+def as_list(overrides):
+    return "[" + ",".join(f"'{override}'" for override in overrides) + "]"
+
+
 TINY_PILOT = [
     "study=pilot",
-    "study.tasks={near:[task=water,task.sea=calm],paper:[task=indoor]}",
+    f"study.tasks.near={as_list(['task=water', 'task.sea=calm'])}",
     *(
-        f"study.methods.{method}.overrides=[{','.join(tiny_options(experiment))}]"
+        f"study.methods.{method}.overrides={as_list(tiny_options(experiment))}"
         for method, experiment in (
             ("ppo", "ppo_water"),
             ("gppo", "gppo_water"),

@@ -71,7 +71,7 @@ def test_runs_that_go_on_or_are_damaged_are_left_out_and_named(runs):
     evidence = runs_evidence(runs)
     assert len(evidence.arm("water", "ppo").runs) == 4
     told = " ".join(evidence.remarks)
-    assert "Left out: 1 that was interrupted." in told
+    assert "Left out, runs that were interrupted: 1." in told
     assert "seed_11/evaluation.json is not valid JSON" in told
     assert str(runs) not in told
 
@@ -80,7 +80,7 @@ def test_a_copy_of_a_run_is_no_further_evidence(runs):
     write_run(runs / "copy", "water", "ppo", 0, 0.5)
     evidence = runs_evidence(runs)
     assert len(evidence.arm("water", "ppo").runs) == 4
-    assert "Left out: 1 that are copies of other runs here." in evidence.remarks
+    assert "Left out, copies of other runs here: 1." in evidence.remarks
 
 
 def test_a_long_table_of_metrics_is_thinned_out(runs):

@@ -164,7 +164,7 @@ def test_runs_of_something_else_are_left_out_and_counted(tmp_path, change, why):
     results.add(first | change, [])
     evidence = read_study(folder)
     assert [run.seed for run in evidence.arm("near", "gppo").runs] == [0]
-    assert f"Left out, for {why}: 1 runs." in evidence.remarks
+    assert f"Left out, for {why}, runs: 1." in evidence.remarks
 
 
 def test_power_is_at_the_level_of_holms_first_step(study):
