@@ -13,7 +13,6 @@ import pytest
 SCRIPTS = sorted((Path(__file__).parents[1] / "notebooks_py").glob("*.py"))
 SMALL = {"GDRL_SMOKE": "1", "GDRL_FRAMES": "1000"}
 TRAINING = {"02_sac_on_dm_control", "03_ppo_on_gymnasium", "04_dqn_on_cartpole"}
-LONG = {"02_sac_on_dm_control", "03_ppo_on_gymnasium"}
 
 
 def test_there_are_notebooks():
@@ -23,7 +22,7 @@ def test_there_are_notebooks():
 @pytest.mark.parametrize(
     "script",
     [
-        pytest.param(path, marks=[pytest.mark.full] * (path.stem in LONG), id=path.stem)
+        pytest.param(path, marks=[pytest.mark.full] * (path.stem in TRAINING), id=path.stem)
         for path in SCRIPTS
     ],
 )

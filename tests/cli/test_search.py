@@ -356,7 +356,7 @@ def test_a_search_that_cannot_work_is_refused_before_its_first_trial(
         search_of(tmp_path, **options)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_command_trains_and_prints_the_best_overrides_last(tmp_path):
     command = [
         SCRIPTS / "gdrl-search",

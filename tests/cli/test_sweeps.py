@@ -164,7 +164,7 @@ def test_a_killed_sweep_goes_on_and_a_failing_job_does_not_stop_the_others(tmp_p
     assert {path: os.stat(path).st_mtime_ns for path in stamps} == stamps, "not run again"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_jobs_in_other_processes_tell_their_directories_and_their_errors(tmp_path):
     axes = ("experiment=ppo_water,grainbow_water", "task.actions=continuous")
     job = sweep(tmp_path, *axes, "hydra/launcher=submitit_local")

@@ -241,10 +241,8 @@ def test_without_a_seed_every_environment_plays_other_episodes_that_can_be_playe
     assert (first.reset()["episode_seed"] == second.reset()["episode_seed"]).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "backend", ["batch", pytest.param("dm_control", marks=pytest.mark.full)]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
 def test_two_workers_without_a_seed_play_other_episodes(backend):
     task = make_task("water", **WAVES)
     make = functools.partial(make_env, task, 2, backend=backend, num_threads=1)

@@ -98,10 +98,8 @@ SHARED_MEMORY = {
 }
 
 
-@pytest.mark.parametrize(
-    "how",
-    [pytest.param(h, marks=[pytest.mark.full] * (h != "absent")) for h in SHARED_MEMORY],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("how", SHARED_MEMORY)
 def test_rainbow_without_shared_memory_says_so_in_a_line(how, tmp_path):
     (tmp_path / "dev").mkdir()
     train = (

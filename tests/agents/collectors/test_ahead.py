@@ -220,6 +220,7 @@ def test_a_run_is_the_same_without_a_process(
     assert outcome("without") == with_process
 
 
+@pytest.mark.full
 def test_a_run_whose_process_is_killed_says_so_and_goes_on(
     tiny_rainbow, rows_of, evaluation_of, monkeypatch
 ):
