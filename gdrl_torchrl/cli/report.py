@@ -61,8 +61,6 @@ def report(values: dict[str, str]) -> Path:
         OSError: If the report cannot be written.
     """
     # These take a second to import: arguments are checked before.
-    from gdrl_torchrl.reports.report import write_report
-
     if "runs" in values:
         from gdrl_torchrl.reports.of_runs import runs_evidence
 
@@ -73,6 +71,9 @@ def report(values: dict[str, str]) -> Path:
 
         folder = Path(values.get("results", "results"), values["study"])
         evidence = read_study(folder)
+    # Last, for it imports what draws: what cannot be read is said before.
+    from gdrl_torchrl.reports.report import write_report
+
     return write_report(evidence, Path(values.get("out", folder)))
 
 
