@@ -10,11 +10,8 @@ import logging
 import shlex
 import sys
 
-from omegaconf import OmegaConf
-
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
-from gdrl_torchrl.cli.shared.compose import EXIT_SAVED, composed, load_experiment
-from gdrl_torchrl.cli.shared.errors import check_known, explained, not_among
+from gdrl_torchrl.cli.shared.compose import EXIT_SAVED, composed_part, load_experiment
 from gdrl_torchrl.cli.shared.names import names_in, sentence_of
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.search import SearchConfig
@@ -46,15 +43,9 @@ def load_search(arguments: list[str]) -> SearchConfig:
     if len(names) != 1:
         given = " ".join(named) or "+search=<name>"
         raise ValueError(f"{given} must be given once: see gdrl-search --help")
-    if names[0] not in names_in("search"):
-        raise ValueError(not_among("+search", names[0], names_in("search")))
     others = [a for a in arguments if a not in named]
     own = [a for a in others if a.lstrip("+~").startswith("search.")]
-    config = composed(f"search/{names[0]}", own)
-    with explained(own):
-        check_known(config)
-        search = OmegaConf.to_object(config.search)
-    assert isinstance(search, SearchConfig)
+    search = composed_part(SearchConfig, "search", "+search", names[0], own)
     search.overrides += [a for a in others if a not in own]
     return search
 

@@ -14,12 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from gdrl_torchrl.checks import check_range
 from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
-from gdrl_torchrl.cli.shared.compose import EXIT_SAVED, composed, load_experiment
-from gdrl_torchrl.cli.shared.errors import check_known, explained, not_among
+from gdrl_torchrl.cli.shared.compose import EXIT_SAVED, composed_part, load_experiment
 from gdrl_torchrl.cli.shared.names import names_in, sentence_of
 from gdrl_torchrl.config.sentences import options_of
 from gdrl_torchrl.config.study import StudyConfig
@@ -68,14 +65,7 @@ def load_study(arguments: Sequence[str]) -> tuple[StudyConfig, dict[str, str]]:
             raise ValueError(f"{argument} must be one of {', '.join(known)}")
     if len(names) != 1:
         raise ValueError("study=<name> must be given once: see gdrl-study --help")
-    if names[0] not in names_in("study"):
-        raise ValueError(not_among("study", names[0], names_in("study")))
-    config = composed(f"study/{names[0]}", own)
-    with explained(own):
-        check_known(config)
-        study = OmegaConf.to_object(config.study)
-    assert isinstance(study, StudyConfig)
-    return study, rest
+    return composed_part(StudyConfig, "study", "study", names[0], own), rest
 
 
 def _parser() -> CommandParser:

@@ -24,7 +24,7 @@ _SPEED_M_S = 1.0
 _LARGEST_CRAB_RAD = 1.25
 
 
-def pursuit(observation: np.ndarray) -> np.ndarray:
+def pursuit(observation: np.ndarray, *, dead_zone: float = _DEAD_ZONE) -> np.ndarray:
     """Steer the vessel of the water task towards its goal.
 
     It turns in proportion to the goal's bearing, goes ahead faster the more the goal lies
@@ -33,6 +33,8 @@ def pursuit(observation: np.ndarray) -> np.ndarray:
     Args:
         observation: Flat observations that begin with the goal's distance and its
             bearing over pi, ``[W, D]``.
+        dead_zone: Command up to which a thruster does nothing: that of the default hull,
+            or 0 where the task's ``dead_zone_compensated`` is on.
 
     Returns:
         Port and starboard commands in [-1, 1], ``[W, 2]``.
@@ -46,7 +48,7 @@ def pursuit(observation: np.ndarray) -> np.ndarray:
     turn = _TURN_PER_RADIAN * bearing
     ahead = _AHEAD * np.exp(-((bearing / _AHEAD_WIDTH_RAD) ** 2))
     thrust = np.clip(np.stack([ahead - turn, ahead + turn], axis=-1), -1.0, 1.0)
-    return np.sign(thrust) * (_DEAD_ZONE + (1.0 - _DEAD_ZONE) * np.abs(thrust))
+    return np.sign(thrust) * (dead_zone + (1.0 - dead_zone) * np.abs(thrust))
 
 
 def pursue_goal(observation: np.ndarray) -> np.ndarray:
@@ -83,6 +85,8 @@ class Pilot:
     def __init__(self, task: WaterTask, arrays: WorldArrays) -> None:
         self.task = task
         self._goal, self._current = arrays["goal"].copy(), arrays["current"].copy()
+        compensated = task.options.dead_zone_compensated
+        self._dead_zone = 0.0 if compensated else task.hull.dead_zone
 
     def __call__(self, worlds: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Port and starboard commands ``[K, 2]`` for worlds ``[K]`` at positions."""
@@ -94,7 +98,8 @@ class Pilot:
         most = math.sin(_LARGEST_CRAB_RAD)
         crab = np.arcsin(np.clip(drift / _SPEED_M_S, -most, most))
         bearing = _within_half_a_turn(course - crab - yaw)
-        return pursuit(np.stack([np.hypot(x, y), bearing / math.pi], axis=-1))
+        goal = np.stack([np.hypot(x, y), bearing / math.pi], axis=-1)
+        return pursuit(goal, dead_zone=self._dead_zone)
 
 
 class Planner:

@@ -6,7 +6,7 @@ import copy
 import functools
 import json
 import threading
-from typing import Any
+from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
@@ -16,8 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from gdrl_tasks import task_names
 from gdrl_torchrl.agents.registry import algorithm_configs
-from gdrl_torchrl.cli.shared.errors import check_known, explained
-from gdrl_torchrl.cli.shared.names import CONFIG_MODULE
+from gdrl_torchrl.cli.shared.errors import check_known, explained, not_among
+from gdrl_torchrl.cli.shared.names import CONFIG_MODULE, names_in
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.study import StudyConfig
@@ -26,6 +26,7 @@ from gdrl_torchrl.config.toy import as_toy
 from gdrl_torchrl.evolution.settings import EVOLUTIONS
 from gdrl_torchrl.plugins import conf_packages
 
+_Part = TypeVar("_Part")
 _PROVIDER = "gdrl_torchrl"
 _COMPOSING = threading.RLock()
 EXIT_SAVED = 75
@@ -115,6 +116,31 @@ def composed(name: str, overrides: list[str]) -> DictConfig:
         finally:
             GlobalHydra.instance().hydra = others
             VersionBase.set_instance(version_base)
+
+
+def composed_part(
+    kind: type[_Part], group: str, argument: str, name: str, own: list[str]
+) -> _Part:
+    """A configuration that stands beside those of runs, such as a search.
+
+    Args:
+        kind: Its class.
+        group: Its folder, and the name of its section.
+        argument: What it is chosen with on the command line.
+        name: Its file.
+        own: Overrides of its options.
+
+    Raises:
+        ValueError: If there is no such file, or an override is not valid.
+    """
+    if name not in names_in(group):
+        raise ValueError(not_among(argument, name, names_in(group)))
+    config = composed(f"{group}/{name}", own)
+    with explained(own):
+        check_known(config)
+        part = OmegaConf.to_object(config[group])
+    assert isinstance(part, kind)
+    return part
 
 
 def check_plain(task: dict[str, Any]) -> None:
