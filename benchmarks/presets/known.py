@@ -43,13 +43,18 @@ PRESETS = {
     for preset in (
         Preset("water_calm", "ppo_water", ("task=water_calm",), 60_000),
         Preset("water_near", "ppo_water", ("task=water_near",), 60_000),
+        Preset("water_precise", "ppo_water", ("task=water_precise",), 150_000),
+        Preset("water_linear", "ppo_water", ("task=water_linear",), 150_000),
         Preset("water_far_current", "ppo_water", ("task=water_far_current",), 300_000),
         Preset("indoor_paper", "rainbow_indoor", ("task=indoor_paper",), 100_000),
         Preset("indoor_scatter", "rainbow_indoor", ("task=indoor_scatter",), 100_000),
         Preset("indoor_corridor", "rainbow_indoor", ("task=indoor_corridor",), 300_000),
         Preset("indoor_trap", "rainbow_indoor", ("task=indoor_trap",), 300_000),
         Preset(
-            "little_data", "ppo_water", ("task=water_near", "+regime=little_data"), 60_000
+            "little_data",
+            "ppo_water",
+            ("task=water_precise", "+regime=little_data"),
+            150_000,
         ),
         Preset(
             "unstable", "rainbow_indoor", ("task=indoor_paper", "+regime=unstable"), 100_000

@@ -78,8 +78,15 @@ def test_every_file_of_a_group_composes_to_a_typed_configuration(group, option):
 @pytest.mark.parametrize(
     ("preset", "expected"),
     {
-        "water_calm": {"goal_distance_m": (2.0, 6.0), "sea": "calm", "current_m_s": 0.0},
+        "water_calm": {
+            "goal_distance_m": (2.0, 6.0),
+            "goal_tolerance_m": 0.1,
+            "sea": "calm",
+            "current_m_s": 0.0,
+        },
         "water_near": {},
+        "water_precise": {"goal_tolerance_m": 0.1},
+        "water_linear": {"goal_tolerance_m": 0.1, "dead_zone_compensated": True},
         "water_far_current": {
             "difficulty": "far",
             "goal_distance_m": (5.0, 15.0),
@@ -91,7 +98,7 @@ def test_every_file_of_a_group_composes_to_a_typed_configuration(group, option):
         "indoor_paper": {},
         "indoor_scatter": {"arena": "scatter", "progress_weight": 10.0},
         "indoor_corridor": {"arena": "corridor", "step_limit": 1000},
-        "indoor_trap": {"arena": "trap", "step_limit": 500},
+        "indoor_trap": {"arena": "trap", "goal_tolerance_m": 0.05, "step_limit": 500},
     }.items(),
 )
 def test_a_preset_is_the_task_that_its_name_begins_with(preset, expected):
