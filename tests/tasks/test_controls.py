@@ -105,10 +105,12 @@ def anything(worlds):
     return lambda observation, episodes: generator.integers(5, size=len(episodes))
 
 
+@pytest.mark.full
 def test_no_action_almost_never_crosses_the_water():
     assert success_rate("water", no_action) <= 0.02
 
 
+@pytest.mark.full
 def test_untrained_networks_cross_it_now_and_then():
     assert 0.02 <= success_rate("water", untrained_actors) <= 0.2
 
