@@ -18,8 +18,8 @@ MAKEFLAGS += --no-print-directory
 
 help:
 	@echo 'make train [EXPERIMENT=$(EXPERIMENT)] [ARGS="seed=1 ..."]   train; prints the run directory last'
-	@echo 'make test [ARGS="-k genome"]    run the tests'
-	@echo 'make test-full                  what takes long: runs killed, damaged and worn out'
+	@echo 'make test [ARGS="-k genome"]    run the quick tests'
+	@echo 'make test-full                  what takes long: runs killed and worn out, more cases'
 	@echo 'make lint                       check style, types and the dependency direction'
 	@echo 'make bench [ARGS="ppo_epoch"]   measure speed: all benchmarks, or those that are named'
 	@echo 'make clean                      remove .venv and what builds and tests leave; runs stay'

@@ -47,6 +47,7 @@ def command(installed, tmp_path):
     return run
 
 
+@pytest.mark.full
 def test_its_operator_algorithm_and_task_train_together(command):
     trained = command("train", "experiment=a2c_pond", "toy=true")
     assert trained.returncode == 0, trained.stderr

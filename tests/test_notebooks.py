@@ -19,12 +19,11 @@ def test_there_are_notebooks():
     assert {"01_population_evaluator", *TRAINING} <= {path.stem for path in SCRIPTS}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "script",
-    [
-        pytest.param(path, marks=[pytest.mark.full] * (path.stem in TRAINING), id=path.stem)
-        for path in SCRIPTS
-    ],
+    SCRIPTS,
+    ids=lambda path: path.stem,
 )
 def test_a_notebook_runs_from_anywhere(script, tmp_path):
     result = subprocess.run(

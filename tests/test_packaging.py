@@ -158,6 +158,7 @@ print(*sorted(loaded & {"torch", "torchrl", "tensordict", "hydra", "omegaconf"})
     assert loaded.split() == []
 
 
+@pytest.mark.full
 def test_torchrl_extension_fits_torch(tmp_path: Path):
     code = """
 import torch

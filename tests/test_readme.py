@@ -8,10 +8,13 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
 
 
+@pytest.mark.full
 def test_its_python_runs_and_some_children_reach_goals(tmp_path):
     (block,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
     done = subprocess.run(

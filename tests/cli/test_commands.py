@@ -179,7 +179,7 @@ def check_that_the_command_only_returns_it(last_line, path, folder):
     assert {p.name for p in before if before[p] != after.get(p)} <= {".lock"}
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_run_is_interrupted_goes_on_is_evaluated_and_is_returned(tmp_path):
     # One test, for the commands take long to start and xdist may part a file.
     process = start("gdrl-train", *OVERRIDES, cwd=tmp_path)

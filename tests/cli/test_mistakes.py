@@ -21,6 +21,7 @@ from gdrl_torchrl.config.search import SearchConfig
 from gdrl_torchrl.config.sentences import options_of
 from gdrl_torchrl.evolution.operators import crossover, mutation, selection
 from gdrl_torchrl.evolution.settings import CROSSOVERS, EVOLUTIONS, MUTATIONS, TIE_RULES
+from tests.marks import full_but
 
 ROOT = Path(__file__).parents[2]
 RUN = """
@@ -43,6 +44,13 @@ for number, arguments in enumerate(lines):
 nothing but the command; it prints at its end whether torch, which takes seconds, was
 imported."""
 COMMANDS = ("train", "evaluate", "runs", "search", "replay")
+LINES = [
+    ("train", 8),
+    *((command, 1) for command in COMMANDS[1:]),
+    pytest.param("train", 1, marks=pytest.mark.full),
+]
+"""Commands, and the distance between the lines that are tried: each of training composes
+a whole configuration."""
 MISTAKES = {
     "gdrl-train experiment=gpo_water": (
         "experiment=gpo_water must be one that exists: did you mean experiment=gppo_water?"
@@ -145,12 +153,15 @@ def answers(command, lines, folder, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_mistake_is_one_line_that_says_what_to_do(command, tmp_path, tmp_path_factory):
+@pytest.mark.parametrize(("command", "every"), LINES)
+def test_a_mistake_is_one_line_that_says_what_to_do(
+    command, every, tmp_path, tmp_path_factory
+):
     below = tmp_path / "here" / "below"
     below.mkdir(parents=True)
     texts = MISTAKES | OTHERS
     lines = [line for line in texts if shlex.split(line)[0] == f"gdrl-{command}"]
+    lines = lines[::every]
     for line, code, printed, said in answers(command, lines, below, tmp_path_factory):
         assert code == 1, line
         assert said.startswith("error: "), line
@@ -168,7 +179,7 @@ def test_the_mistakes_are_documented_with_what_is_said():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", full_but(["train"], COMMANDS))
 def test_help_has_a_meaning_for_everything_and_two_examples(
     command, tmp_path, tmp_path_factory
 ):

@@ -28,6 +28,7 @@ from gdrl_torchrl.cli.shared.compose import (
 from gdrl_torchrl.cli.train import check_launcher
 from gdrl_torchrl.files.run_table import find_runs, run_row
 from gdrl_torchrl.runs.place import directory_of
+from tests.marks import full_but
 
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 CONF = resources.files("gdrl_torchrl.conf")
@@ -50,6 +51,8 @@ QUESTIONS = {
     "goal_tolerance",
     "wave_height",
 }
+QUICK = ("mutation_std", "population_size", "network_width", "paper_water")
+"""A number, a number that others depend on, a list, and files of several groups."""
 SMALL = ("toy=true", "budget.total_steps=1000", "evaluation.episodes=2")
 
 
@@ -95,7 +98,7 @@ def test_a_sweep_is_named_as_its_file_and_names_its_launcher(name):
     assert "BasicLauncher" in config.hydra.launcher._target_
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.parametrize("name", full_but(QUICK, SWEEPS))
 def test_every_job_of_a_sweep_is_valid_and_has_a_directory_of_its_own(name):
     jobs = jobs_of(name)
     assert len(jobs) > 2

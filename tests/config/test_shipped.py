@@ -23,6 +23,7 @@ from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.evolution.settings import EvolutionConfig
 from gdrl_torchrl.runs.build import build_training
+from tests.small import compose
 
 CONF = resources.files("gdrl_torchrl.conf")
 REGIMES = {"little_data": "ppo_water", "unstable": "rainbow_indoor"}
@@ -113,7 +114,7 @@ def test_a_preset_keeps_the_kind_of_actions_of_an_experiment():
         ("rainbow_water", "water_calm"),
         ("ppo_indoor", "indoor_trap"),
     ):
-        plain = load_experiment([f"experiment={experiment}"])
+        plain = compose([f"experiment={experiment}"])
         other = load_experiment([f"experiment={experiment}", f"task={preset}"])
         assert other.task.actions == plain.task.actions
         assert other.task != plain.task
@@ -122,7 +123,7 @@ def test_a_preset_keeps_the_kind_of_actions_of_an_experiment():
 @pytest.mark.parametrize("regime", options_of("regime"))
 def test_a_regime_changes_its_experiment_and_nothing_else_of_it(regime):
     given = [f"experiment={REGIMES[regime]}"]
-    plain, other = load_experiment(given), load_experiment([*given, f"+regime={regime}"])
+    plain, other = compose(given), load_experiment([*given, f"+regime={regime}"])
     assert other.algorithm != plain.algorithm
     assert dataclasses.replace(other, algorithm=plain.algorithm) == plain
 
@@ -151,7 +152,7 @@ def test_an_experiment_of_every_kind_takes_the_common_overrides(experiment):
         "task.goal_tolerance_m": 0.25,
         "network.actor_cells": [4, 5, 6],
     }
-    plain = load_experiment([f"experiment={experiment}"])
+    plain = compose([f"experiment={experiment}"])
     if plain.algorithm.name == "ga":
         overrides["algorithm.mutation_std"] = 0.02
     else:
@@ -183,7 +184,7 @@ def test_an_experiment_of_every_kind_takes_the_common_overrides(experiment):
 def test_a_tasks_own_options_are_taken(override):
     experiment, option = override.split()
     config = load_experiment([experiment, option])
-    default = load_experiment([experiment])
+    default = compose([experiment])
     name = option.partition("=")[0].removeprefix("task.")
     assert getattr(config.task, name) != getattr(default.task, name)
     make_task_from_config(config.task)

@@ -1,4 +1,4 @@
-"""The TorchRL environments of a task, on both backends."""
+"""The TorchRL environments of a task, on both backends: specs, masks, episodes."""
 
 from __future__ import annotations
 
@@ -7,58 +7,15 @@ import functools
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs import ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
 from gdrl_tasks import Outcome, Stream, make_task
-from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.seeds import stream_of
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.envs.navigation import NavigationEnv
-
-WAVES = {"sea": "lake", "step_limit": 12}
-RECORD = {
-    "success",
-    "outcome",
-    "episode_seed",
-    "episode_return",
-    "path_length",
-    "shortest_path",
-}
-
-
-@pytest.fixture
-def env_of():
-    """Makes environments, and closes them at the end."""
-    made = []
-
-    def make(worlds=4, *, backend="batch", seed=0, **options):
-        task = make_task("water", **WAVES | options)
-        made.append(make_env(task, worlds, backend=backend, num_threads=1, seed=seed))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close(raise_if_closed=False)
-
-
-def random_steps(env, count, *, seed=0):
-    """Steps with actions of a generator of its own, from where the environment is."""
-    generator = torch.Generator().manual_seed(seed)
-    shape = (count, *env.action_spec.shape)
-    return (2 * torch.rand(shape, generator=generator) - 1).unbind(0)
-
-
-def walk(env, start, actions):
-    state, rows = start, []
-    for action in actions:
-        state = env.step(state.set("action", action))
-        rows.append(state["next"].clone())
-        state = state["next"].clone()
-    return torch.stack(rows)
-
+from tests.envs.steps import RECORD, WAVES, random_steps, walk
 
 # Specs
 
@@ -253,151 +210,6 @@ def test_two_workers_without_a_seed_play_other_episodes(backend):
         assert len(set(start["observation"][..., 1].flatten().tolist())) == 4
     finally:
         workers.close()
-
-
-# Ends
-
-
-@pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_a_step_before_the_first_reset_is_an_error(backend, env_of):
-    env = env_of(1, backend=backend)
-    start = TensorDict(action=env.action_spec.zero(), batch_size=[1])
-    with pytest.raises(RuntimeError, match="none has begun"):
-        env.step(start)
-
-
-def test_a_world_that_has_ended_is_not_stepped_on(env_of):
-    env = env_of(3, step_limit=2)
-    state = walk(env, env.reset(), random_steps(env, 2))[-1].clone()
-    assert state["done"].all()
-    before = env.get_state()
-    with pytest.raises(RuntimeError, match=r"3 of 3 worlds \(world 0: it ended: TIMEOUT\)"):
-        env.step(state.set("action", env.action_spec.zero()))
-    for name, value in env.get_state().items():
-        assert torch.equal(value, before[name]), name
-    # The others go on beside it.
-    mask = torch.tensor([[True], [False], [True]])
-    state = env.reset(state.set("_reset", mask))
-    state.set("action", env.action_spec.zero()).set("_step", mask[:, 0])
-    following = env.step(state)["next"]
-    assert following["done"][:, 0].tolist() == [False, True, False]
-    assert following["reward"][1] == 0.0
-
-
-@pytest.mark.parametrize("backend", ["batch", "dm_control"])
-@pytest.mark.parametrize("at_limit", ["terminated", "truncated"])
-def test_the_step_limit_terminates_or_truncates(at_limit, backend, env_of):
-    env = env_of(2, backend=backend, at_limit=at_limit, step_limit=3)
-    path = env.rollout(5, lambda td: td.set("action", env.action_spec.zero()))
-    assert path.shape == (2, 3)
-    final = path["next"][:, -1]
-    assert (final["outcome"] == Outcome.TIMEOUT).all()
-    assert final["terminated"].all() == (at_limit == "terminated")
-    assert final["truncated"].all() == (at_limit == "truncated")
-    assert final["done"].all()
-    assert not path["next", "done"][:, :-1].any()
-    penalty = -1.0 if at_limit == "terminated" else 0.0
-    assert (final["reward"] == penalty).all()
-    assert not final["success"].any()
-
-
-@pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_reaching_the_goal_terminates_with_success(backend, env_of):
-    env = env_of(2, backend=backend, sea="calm", step_limit=160)
-
-    def steer(td):
-        action = pursuit(td["observation"].double().numpy())
-        return td.set("action", torch.from_numpy(action).float())
-
-    path = env.rollout(160, steer, break_when_any_done=False, break_when_all_done=True)
-    final = path["next"][:, -1]
-    assert final["success"].all()
-    assert (final["outcome"] == Outcome.SUCCESS).all()
-    assert final["terminated"].all()
-    assert (final["episode_return"] == 1.0).all()
-    assert (final["path_length"] > 0.9 * final["shortest_path"]).all()
-
-
-def test_records_are_of_the_episode_so_far(env_of):
-    env = env_of(3, reward="dense")
-    path = walk(env, env.reset(), random_steps(env, 5))
-    total = path["reward"].cumsum(dim=0)
-    assert torch.allclose(path["episode_return"], total, atol=1e-5)
-    assert (path["path_length"].diff(dim=0) >= 0).all()
-    assert (path["shortest_path"] == path["shortest_path"][:1]).all()
-    left = path["time_left"][:, 0, 0].tolist()
-    assert left == pytest.approx([1.0 - (n + 1) / 12 for n in range(5)])
-
-
-# State
-
-
-def test_a_restored_state_goes_on_bit_by_bit(env_of):
-    first, second = env_of(3), env_of(3, seed=9)
-    state = walk(first, first.reset(), random_steps(first, 4))[-1]
-    saved = {name: value.clone() for name, value in first.get_state().items()}
-    second.set_state(saved)
-    resumed = second.reset()
-    for key in ("observation", "episode_number", "episode_steps", "time_left"):
-        assert (resumed[key] == state[key]).all(), key
-    actions = random_steps(first, 30, seed=1)
-
-    def go_on(env, state):
-        rows = []
-        for action in actions:
-            moved, state = env.step_and_maybe_reset(state.set("action", action))
-            rows.append(moved["next"].clone())
-        return torch.stack(rows)
-
-    mine, other = go_on(second, resumed), go_on(first, state.clone())
-    assert other["done"].any(), "new episodes must begin on the way"
-    for key in other.keys(True, True):
-        assert (mine[key] == other[key]).all(), key
-
-
-def test_a_state_of_other_worlds_is_refused(env_of):
-    with pytest.raises(ValueError, match="shape"):
-        env_of(3).set_state(env_of(2).get_state())
-
-
-def test_the_reset_after_the_resumed_one_begins_new_episodes(env_of):
-    env = env_of(2)
-    env.reset()
-    env.set_state(env.get_state())
-    assert env.reset()["episode_number"][:, 0].tolist() == [0, 1]
-    assert env.reset()["episode_number"][:, 0].tolist() == [2, 3]
-
-
-@pytest.mark.parametrize("step_limit", [10, 12])
-def test_a_collector_goes_on_bit_by_bit_from_a_restored_state(step_limit, env_of, actor_of):
-    actor = actor_of("tanh_normal")
-
-    def collect(env, batches):
-        collector = Collector(
-            env,
-            actor,
-            frames_per_batch=30,
-            total_frames=-1,
-            auto_register_policy_transforms=False,
-        )
-        iterator = iter(collector)
-        return [next(iterator).clone() for _ in range(batches)], collector
-
-    # Episodes of ten steps end with the batch: the state is that of new episodes.
-    env = env_of(3, step_limit=step_limit)
-    torch.manual_seed(5)
-    _, collector = collect(env, 2)
-    saved, generator = env.get_state(), torch.get_rng_state()
-    expected = next(iter(collector)).clone()
-    collector.shutdown()
-
-    other = env_of(3, seed=4, step_limit=step_limit)
-    other.set_state(saved)
-    torch.set_rng_state(generator)
-    (batch,), collector = collect(other, 1)
-    collector.shutdown()
-    for key in batch.exclude("collector").keys(True, True):
-        assert (batch[key] == expected[key]).all(), key
 
 
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 import gdrl_torchrl.conf
-from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.evolution.settings import ErlConfig
-from tests.small import easy_options, small_options
+from tests.small import compose, easy_options, small_options
 
 ROWS = 90
 DISK_KB = 4096
@@ -53,7 +52,7 @@ def options_of():
 
     def options(experiment):
         chosen = small_options(experiment)
-        config = load_experiment(chosen)
+        config = compose(chosen)
         chosen += easy_options(config.task.name)
         evolution = config.evolution
         is_genetic = evolution.enabled and not isinstance(evolution, ErlConfig)

@@ -16,6 +16,7 @@ from gdrl_torchrl.cli.replay import main, replay
 from gdrl_torchrl.fast.loss import TracedLoss
 from gdrl_torchrl.files.state import write_state
 from gdrl_torchrl.runs.run import TrainingDivergedError, run_experiment
+from tests.marks import full_but, gppo_is_quick, grainbow_is_quick
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 EVERY = "checkpoint.interval_s=0"
@@ -99,6 +100,7 @@ def without_clock(record):
     return {name: value for name, value in record.items() if name != "wall_s"}
 
 
+@grainbow_is_quick
 def test_a_loss_that_is_not_finite_ends_training_and_nothing_is_lost(
     tiny_of_each, broken_at, evaluation_of, monkeypatch, whole_of
 ):
@@ -133,7 +135,8 @@ def test_the_minibatch_is_kept_and_what_is_not_finite_is_named(what, tiny, broke
     assert found["entries"]["observation"][0] == found["rows"]
 
 
-@pytest.mark.parametrize("what", ["loss", "gradient of "])
+@pytest.mark.parametrize("what", full_but(["gradient of "], ["loss", "gradient of "]))
+@gppo_is_quick
 def test_such_updates_can_be_skipped(what, tiny_of_each, broken_at, evaluation_of):
     broken_at(2, BREAKS[what])
     path = run_experiment(tiny_of_each("faults.on_non_finite_update=skip"))
@@ -201,7 +204,14 @@ def task_that_gives(monkeypatch):
     return gives
 
 
-@pytest.mark.parametrize(("field", "value"), [("reward", -np.inf), ("observation", np.nan)])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("reward", -np.inf),
+        pytest.param("observation", np.nan, marks=pytest.mark.full),
+    ],
+)
+@gppo_is_quick
 def test_a_task_that_gives_no_number_is_named_before_anything_is_learnt_from_it(
     field, value, tiny_of_each, task_that_gives, monkeypatch, evaluation_of, whole_of
 ):
@@ -224,6 +234,7 @@ def test_a_task_that_gives_no_number_is_named_before_anything_is_learnt_from_it(
     assert mine["params_sha256"] == other["params_sha256"]
 
 
+@gppo_is_quick
 def test_worlds_that_diverge_are_counted_and_some_can_be_replayed(
     tiny_of_each, injured_at, capsys, monkeypatch
 ):

@@ -16,6 +16,7 @@ from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.monitor import COLUMNS
 from gdrl_torchrl.runs.run import run_experiment
+from tests.marks import grainbow_is_quick
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -41,6 +42,7 @@ def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(
     assert int(rows[-1]["population_steps"]) > 0
 
 
+@grainbow_is_quick
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
     tiny_of_each, tmp_path, monkeypatch, rows_of, evaluation_of, whole_of
 ):
@@ -101,6 +103,7 @@ def write_unless_failed(full):
     return write_json
 
 
+@grainbow_is_quick
 def test_results_do_not_depend_on_threads_but_on_the_seed(
     tiny_of_each, tmp_path, rows_of, evaluation_of
 ):
@@ -263,6 +266,7 @@ def test_the_dm_control_backend_trains_and_evaluates_a_population_of_three(
     assert set(rows[0]) > set(COLUMNS) - {"wall_s"}
 
 
+@pytest.mark.full
 def test_a_run_on_the_dm_control_backend_goes_on(tiny, rows_of):
     for steps in (80, 160):
         path = run_experiment(
@@ -273,6 +277,7 @@ def test_a_run_on_the_dm_control_backend_goes_on(tiny, rows_of):
     assert int(rows[-1]["episodes"]) > int(rows[1]["episodes"]) > 0
 
 
+@pytest.mark.full
 def test_runs_that_share_a_process_do_not_share_anything_else(
     tiny_of_each, tmp_path, rows_of, evaluation_of
 ):

@@ -13,6 +13,7 @@ from gdrl_torchrl.files.run_table import state_of
 from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.run import InterruptedRunError, run_experiment
 from gdrl_torchrl.runs.signals import _say_that_no_signal_saves, stop_signals
+from tests.marks import full_but
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -29,7 +30,12 @@ def interrupting(number):
     return append_and_interrupt
 
 
-@pytest.mark.parametrize("number", stop_signals(), ids=lambda number: number.name)
+QUICK = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    "number", full_but(QUICK, stop_signals()), ids=lambda number: number.name
+)
 def test_a_signal_saves(number, tiny, monkeypatch, rows_of):
     before = signal.getsignal(number)
     monkeypatch.setattr(MetricsTable, "append", interrupting(number))
@@ -113,9 +119,10 @@ def test_a_hang_up_that_is_ignored_stays_so(tiny, monkeypatch):
         signal.signal(signal.SIGHUP, before)
 
 
-@pytest.mark.parametrize(
-    "step", ["build_training", "evaluate_policy", "record_trajectories", "write_json"]
-)
+STEPS = ("build_training", "evaluate_policy", "record_trajectories", "write_json")
+
+
+@pytest.mark.parametrize("step", full_but(["evaluate_policy"], STEPS))
 def test_a_signal_at_any_other_time_ends_a_run_too_and_it_goes_on(
     step, tiny, monkeypatch, evaluation_of, rows_of, whole_of
 ):

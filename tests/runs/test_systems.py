@@ -6,6 +6,7 @@ import pytest
 
 from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.run import run_experiment
+from tests.marks import full_but
 from tests.small import compose, small_options
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -21,7 +22,9 @@ SYSTEMS = {
     "control_experience_indoor": "control_experience_rainbow",
     "control_selection_water": "control_selection_ppo",
 }
-"""Each way to evolve once. ``make test-full`` kills every experiment that is shipped."""
+"""Each way to evolve once; beside them ``make test-full`` kills every experiment."""
+QUICK = ("ga_water", "erl_indoor", "crossover_water")
+"""Of each kind of evolution one: no agent, a population beside it, children of it."""
 PLAIN = [
     "logger.tensorboard=false",
     "simulation.num_threads=1",
@@ -38,7 +41,7 @@ def small(tmp_path):
     return make
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", full_but(QUICK, SYSTEMS))
 def test_a_system_that_was_stopped_ends_where_one_that_was_not_does(
     name, small, rows_of, evaluation_of, tmp_path
 ):

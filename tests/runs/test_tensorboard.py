@@ -13,6 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from gdrl_torchrl.runs.phases import PHASES
 from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
+from tests.marks import grainbow_is_quick
 
 SHOWN = "logger.tensorboard=true"
 OF_UPDATES = {
@@ -39,6 +40,7 @@ def events_of(path):
 
 
 @pytest.mark.slow
+@grainbow_is_quick
 def test_both_have_losses_measures_and_the_clock(tiny_of_each):
     config = tiny_of_each(SHOWN, "budget.agent_steps=240")
     path = run_experiment(config)

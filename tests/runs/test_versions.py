@@ -8,11 +8,12 @@ import pytest
 
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.runs.run import run_experiment
+from tests.marks import full_but
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
 
-@pytest.mark.parametrize("finished", [True, False])
+@pytest.mark.parametrize("finished", full_but([False], [True, False]))
 def test_a_run_of_another_version_of_runs_needs_force(finished, tiny, monkeypatch, rows_of):
     path = run_experiment(tiny("budget.agent_steps=40"))
     for module in ("run", "place"):

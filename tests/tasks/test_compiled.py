@@ -57,6 +57,7 @@ def test_a_package_that_cannot_be_written_to_works_without_a_home_and_says_so_on
     assert "NUMBA_CACHE_DIR" in line
 
 
+@pytest.mark.full
 def test_what_is_advised_helps(read_only_package, tmp_path):
     done = run(read_only_package, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert (done.stdout, done.stderr) == ("True\n", "")

@@ -86,10 +86,13 @@ DRIVES = [
     ("water", {}),
     ("indoor", {"arena": "trap", "progress_weight": 3.0}),
 ]
+"""Every second one is quick."""
 
 
 @pytest.mark.parametrize(
-    ("name", "options"), DRIVES, ids=lambda value: value if isinstance(value, str) else ""
+    ("name", "options"),
+    [pytest.param(*d, marks=[pytest.mark.full] * (d not in DRIVES[::2])) for d in DRIVES],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_no_step_is_worth_more_than_its_limit(name, options):
     count = 32

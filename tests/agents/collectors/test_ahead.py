@@ -22,6 +22,7 @@ from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.files.metrics import MetricsTable
 from gdrl_torchrl.files.state import read_state, write_state
 from gdrl_torchrl.runs.run import run_experiment
+from tests.marks import full_but
 
 WORLDS, STEPS = 3, 8
 TASK = make_task("indoor", step_limit=5)
@@ -93,7 +94,7 @@ def assert_same(batches, others):
 
 
 @pytest.mark.parametrize("in_process", [True, False])
-@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("noisy", full_but([True], [False, True]))
 def test_batches_are_those_of_weights_one_batch_old(ahead, in_process, noisy):
     policy = make_policy(noisy)
     collector = ahead(policy, in_process)
@@ -205,6 +206,7 @@ def test_a_daemon_collects_by_itself(ahead):
     process.join()
 
 
+@pytest.mark.full
 def test_a_run_is_the_same_without_a_process(
     tiny_rainbow, rows_of, evaluation_of, monkeypatch
 ):

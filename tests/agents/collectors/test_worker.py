@@ -216,7 +216,14 @@ def test_a_worker_holds_no_lock_of_its_maker(tmp_path):
     worker.close()
 
 
-@pytest.mark.parametrize("end", ["return", "error", "SIGKILL"])
+@pytest.mark.parametrize(
+    "end",
+    [
+        pytest.param("return", marks=pytest.mark.full),
+        pytest.param("error", marks=pytest.mark.full),
+        "SIGKILL",
+    ],
+)
 def test_workers_end_with_their_maker(end):
     """One is idle, and one that was made later, and knew the other's pipe, is at work."""
     script = f"""

@@ -2,124 +2,35 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import warnings
 
-import hypothesis
-import hypothesis.strategies as st
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.data import OneHot
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import DistributionalQValueActor
 from torchrl.objectives import DistributionalDQNLoss
 
 from gdrl_torchrl.agents.networks import make_value_network
-from gdrl_torchrl.agents.rainbow.loss import (
-    RainbowLoss,
-    project,
-    resample_noise,
-    soft_update_target,
-)
+from gdrl_torchrl.agents.rainbow.loss import RainbowLoss, resample_noise, soft_update_target
 from gdrl_torchrl.agents.rainbow.n_step import NStep
 from gdrl_torchrl.agents.rainbow.network import make_q_actor
-
-SIZE, ACTIONS, ATOMS, GAMMA = 3, 4, 11, 0.9
-LOW, HIGH = -1.0, 2.0
-RETURNS = [LOW + (HIGH - LOW) * i / (ATOMS - 1) for i in range(ATOMS)]
-
-
-def make(noisy=False, **options):
-    """A loss whose online and target networks differ, and actors equal to both."""
-    options = {"num_atoms": ATOMS, "num_cells": (8, 8), "noisy": noisy} | options
-    actor = make_q_actor(SIZE, ACTIONS, value_range=(LOW, HIGH), **options)
-    loss = RainbowLoss(actor, gamma=GAMMA)
-    target = copy.deepcopy(actor)
-    with torch.no_grad():
-        for parameter in actor.parameters():
-            parameter.add_(0.5 * torch.randn_like(parameter))
-    return loss, actor, target
-
-
-def make_batch(size=ATOMS, seed=0):
-    generator = torch.Generator().manual_seed(seed)
-
-    def normal(*shape):
-        return torch.randn(*shape, generator=generator)
-
-    return TensorDict(
-        {
-            "observation": 2.0 * normal(size, SIZE),
-            "action": torch.randint(ACTIONS, (size,), generator=generator),
-            "steps_to_next_obs": torch.randint(1, 6, (size, 1), generator=generator),
-            "priority_weight": torch.rand(size, generator=generator) + 0.1,
-            "next": {
-                "observation": 2.0 * normal(size, SIZE),
-                "reward": 0.6 * normal(size, 1),
-                "terminated": normal(size, 1) > 0.5,
-                "done": torch.zeros(size, 1, dtype=torch.bool),
-            },
-        },
-        batch_size=[size],
-    )
-
-
-def brute_force_projection(chances, reward, discount, returns):
-    """Each atom's probability, split between the two atoms around where it lands."""
-    gap = (returns[-1] - returns[0]) / (len(returns) - 1)
-    out, outside = [0.0] * len(returns), 0.0
-    for chance, value in zip(chances, returns, strict=True):
-        lands = reward + discount * value
-        if lands < returns[0] - 1e-3 * gap or lands > returns[-1] + 1e-3 * gap:
-            outside += chance
-        lands = min(max(lands, returns[0]), returns[-1])
-        for atom, other in enumerate(returns):
-            out[atom] += chance * max(0.0, 1.0 - abs(lands - other) / gap)
-    return out, outside
-
-
-def distributions(actor, observation):
-    """Probabilities ``[B][Z][A]`` in double precision, from the stock actor."""
-    rows = TensorDict(observation=observation, batch_size=observation.shape[:1])
-    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
-        return actor(rows)["action_value"].double().exp().tolist()
-
-
-def brute_force(online, target, batch, gamma=GAMMA, returns=RETURNS):
-    """Cross-entropy, entropy of the target, value and clipped mass, per transition."""
-    now = distributions(online, batch["observation"])
-    ahead = distributions(online, batch["next", "observation"])
-    delayed = distributions(target, batch["next", "observation"])
-    rows = []
-    for i in range(batch.batch_size[0]):
-        means = [
-            sum(ahead[i][z][a] * returns[z] for z in range(len(returns)))
-            for a in range(len(ahead[i][0]))
-        ]
-        best = means.index(max(means))
-        steps = int(batch["steps_to_next_obs"].reshape(-1)[i])
-        ended = bool(batch["next", "terminated"][i, 0])
-        projected, outside = brute_force_projection(
-            [delayed[i][z][best] for z in range(len(returns))],
-            float(batch["next", "reward"][i, 0]),
-            0.0 if ended else gamma**steps,
-            returns,
-        )
-        action = int(batch["action"].reshape(-1)[i])
-        own = [now[i][z][action] for z in range(len(returns))]
-        pairs = list(zip(projected, own, strict=True))
-        rows.append(
-            (
-                -sum(m * math.log(p) for m, p in pairs),
-                -sum(m * math.log(m) for m, _ in pairs if m > 0.0),
-                sum(p * value for p, value in zip(own, returns, strict=True)),
-                outside,
-            )
-        )
-    return torch.tensor(rows, dtype=torch.float64).unbind(dim=-1)
+from tests.agents.rainbow.losses import (
+    ACTIONS,
+    ATOMS,
+    GAMMA,
+    HIGH,
+    LOW,
+    RETURNS,
+    SIZE,
+    brute_force,
+    brute_force_projection,
+    distributions,
+    make,
+    make_batch,
+)
 
 
 @pytest.mark.parametrize("noisy", [False, True])
@@ -185,67 +96,6 @@ def test_uniform_one_step_data_give_the_loss_and_the_gradients_of_torchrl(size, 
     gradients = [torch.autograd.grad(v, list(actor.parameters())) for v in (own, expected)]
     for mine, theirs in zip(*gradients, strict=True):
         assert torch.allclose(mine, theirs, atol=1e-6)
-
-
-@hypothesis.settings(max_examples=60, deadline=None)
-@hypothesis.given(
-    atoms=st.integers(2, 60),
-    low=st.floats(-50.0, 5.0),
-    width=st.floats(0.5, 100.0),
-    rewards=st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=4),
-    discount=st.sampled_from([0.0, 0.3, 0.97, 1.0]),
-    seed=st.integers(0, 1000),
-)
-def test_the_projection_equals_a_loop_and_keeps_mass_and_mean(
-    atoms, low, width, rewards, discount, seed
-):
-    generator = torch.Generator().manual_seed(seed)
-    support = torch.linspace(low, low + width, atoms, dtype=torch.float64)
-    chances = torch.rand(len(rewards), atoms, generator=generator).double() ** 4
-    chances /= chances.sum(dim=-1, keepdim=True)
-    # In units of the width, so that some stay inside and some do not.
-    reward = torch.tensor(rewards, dtype=torch.float64)[:, None] * width
-    out, outside = project(chances, reward, torch.tensor([[discount]]).double(), support)
-    assert torch.allclose(out.sum(dim=-1), torch.ones(len(rewards)).double())
-    assert (out >= 0.0).all()
-    for i, row in enumerate(chances.tolist()):
-        expected, clipped = brute_force_projection(
-            row, float(reward[i]), discount, support.tolist()
-        )
-        assert out[i].tolist() == pytest.approx(expected, abs=1e-6)
-        assert float(outside[i]) == pytest.approx(clipped, abs=1e-6)
-        if clipped == 0.0:
-            mean = float(reward[i]) + discount * float((chances[i] * support).sum())
-            tolerance = 1e-3 * width / (atoms - 1) + 1e-6  # of what counts as inside
-            assert float((out[i] * support).sum()) == pytest.approx(mean, abs=tolerance)
-
-
-@pytest.mark.parametrize(
-    ("reward", "lands"), [(-5.0, 0), (0.0, 0), (1.0, 1), (3.0, 3), (4.0, 4), (9.0, 4)]
-)
-def test_a_value_on_an_atom_stays_there_and_one_beyond_the_ends_goes_to_them(reward, lands):
-    support = torch.arange(5.0)
-    chances = torch.full((1, 5), 0.2)
-    out, outside = project(
-        chances, torch.tensor([[reward]]), torch.zeros(1, 1), support
-    )  # a terminal transition
-    assert out[0].tolist() == pytest.approx([float(i == lands) for i in range(5)])
-    assert float(outside) == pytest.approx(float(not 0.0 <= reward <= 4.0))
-
-
-def test_nothing_is_clipped_by_bounds_that_no_reward_leads_out_of():
-    # The lowest and highest rewards per step, and the values of getting them for ever.
-    gamma, low, high = 0.99, -0.01, 0.02
-    bounds = (low / (1 - gamma), high / (1 - gamma))
-    actor = make_q_actor(SIZE, ACTIONS, value_range=bounds, num_cells=(8,))
-    loss = RainbowLoss(actor, gamma=gamma)
-    steps = torch.arange(1, 52)[:, None]
-    batch = make_batch(51).set("steps_to_next_obs", steps)
-    for per_step in (low, high):
-        batch["next", "reward"] = per_step * (1 - gamma**steps) / (1 - gamma)
-        assert float(loss(batch.clone())["clipped_mass"]) == 0.0
-    batch["next", "reward"] = batch["next", "reward"] + 0.1
-    assert float(loss(batch)["clipped_mass"]) > 0.0
 
 
 def test_the_online_network_selects_and_the_target_network_values():
@@ -318,96 +168,6 @@ def test_a_truncated_window_is_continued():
     assert float(loss(batch)["loss"].detach()) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("noisy", [False, True])
-def test_every_online_parameter_learns_and_no_other(noisy):
-    loss, actor, _ = make(noisy)
-    loss(make_batch(16))["loss"].backward()
-    names = dict(actor.named_parameters())
-    assert noisy == any("sigma" in name for name in names)
-    for name, parameter in names.items():
-        assert parameter.grad is not None, name
-        assert parameter.grad.abs().sum() > 0.0, name
-    assert {id(p) for p in loss.parameters()} == {id(p) for p in actor.parameters()}
-    for leaf in loss.target_value_network_params.values(True, True):
-        assert not leaf.requires_grad
-        assert leaf.grad is None
-
-
-def leaves(params, end):
-    items = params.items(include_nested=True, leaves_only=True)
-    return {k: v.detach().clone() for k, v in items if k[-1].endswith(end)}
-
-
-def test_noise_is_drawn_anew_for_both_networks_and_differs_between_them():
-    loss, actor, _ = make(noisy=True)
-    both = (loss.value_network_params, loss.target_value_network_params)
-    before = [leaves(params, "epsilon") for params in both]
-    fixed = [
-        leaves(params, ("mu", "sigma", "weight", "bias", "support")) for params in both
-    ]
-    resample_noise(loss)
-    after = [leaves(params, "epsilon") for params in both]
-    assert len(before[0]) == len(before[1]) == 8
-    for old, new in zip(before, after, strict=True):
-        assert all(not torch.equal(old[key], new[key]) for key in old)
-    assert all(not torch.equal(after[0][key], after[1][key]) for key in after[0])
-    for old, params in zip(fixed, both, strict=True):
-        new = leaves(params, ("mu", "sigma", "weight", "bias", "support"))
-        assert all(torch.equal(old[key], new[key]) for key in old)
-    # The actor acts with the online network's noise.
-    layer = actor.module[0].module.value[0]
-    own = after[0]["module", "0", "module", "value", "0", "weight_epsilon"]
-    assert torch.equal(layer.weight_epsilon, own)
-
-
-@pytest.mark.parametrize("which", ["value_network_params", "target_value_network_params"])
-def test_the_noise_of_either_network_changes_the_loss(which):
-    loss, *_ = make(noisy=True)
-    batch = make_batch(16)
-    before = float(loss(batch)["loss"].detach())
-    for key, value in getattr(loss, which).items(True, True):
-        if key[-1] == "weight_epsilon":
-            value.data.mul_(-1.0)
-    assert float(loss(batch)["loss"].detach()) != pytest.approx(before, abs=1e-3)
-
-
-def test_without_noisy_layers_nothing_is_drawn():
-    loss, *_ = make()
-    state = torch.get_rng_state()
-    before = loss.state_dict()
-    resample_noise(loss)
-    assert torch.equal(state, torch.get_rng_state())
-    assert all(torch.equal(before[key], value) for key, value in loss.state_dict().items())
-
-
-@pytest.mark.parametrize("tau", [0.0, 0.1, 1.0])
-def test_a_soft_update_moves_parameters_by_a_share_and_leaves_buffers(tau):
-    loss, actor, target = make(noisy=True)
-    resample_noise(loss)
-    online_before = copy.deepcopy(actor.state_dict())
-    target_before = dict(target.state_dict())
-    params = loss.target_value_network_params
-    places = {k: v.data_ptr() for k, v in params.items(True, True)}
-    noise = leaves(params, "epsilon")
-    soft_update_target(loss, tau)
-    soft_update_target(loss, tau)
-    for key, value in params.items(True, True):
-        name = ".".join(key) if isinstance(key, tuple) else key
-        assert value.data_ptr() == places[key], name
-        if name.endswith("epsilon"):
-            assert torch.equal(value, noise[key]), name
-        elif name.endswith("support"):
-            assert torch.allclose(value, torch.tensor(RETURNS))
-        else:
-            kept = (1.0 - tau) ** 2
-            expected = kept * target_before[name] + (1.0 - kept) * online_before[name]
-            assert torch.allclose(value, expected, atol=1e-6), name
-            if tau < 1.0:
-                assert not torch.allclose(value, online_before[name], atol=1e-3), name
-    for name, value in actor.state_dict().items():
-        assert torch.equal(value, online_before[name]), name
-
-
 def test_priorities_are_0_where_nothing_is_left_to_learn():
     actor = make_q_actor(
         SIZE, ACTIONS, value_range=(LOW, HIGH), num_atoms=4, num_cells=(8,)
@@ -436,27 +196,6 @@ def test_priorities_are_0_where_nothing_is_left_to_learn():
     assert (batch["td_error"] < 1e-5).all()
 
 
-def test_it_learns_the_expected_returns_of_two_actions():
-    actor = make_q_actor(SIZE, 2, value_range=(-1.0, 1.0), num_atoms=ATOMS, num_cells=(8,))
-    loss = RainbowLoss(actor, gamma=GAMMA)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=0.02)
-    batch = make_batch(32)
-    batch["observation"].fill_(0.5)
-    batch["action"] = torch.arange(32) % 2
-    # Action 0 pays -0.4; action 1 pays 0.75 or -0.25 with equal chances.
-    pays = torch.tensor([-0.4, 0.75, -0.4, -0.25]).repeat(8)
-    batch["next", "reward"] = pays[:, None]
-    batch["next", "terminated"].fill_(True)
-    for _ in range(150):
-        optimizer.zero_grad()
-        loss(batch)["loss"].backward()
-        optimizer.step()
-    chances = torch.tensor(distributions(actor, batch["observation"][:1])[0])
-    mean = (chances * torch.linspace(-1.0, 1.0, ATOMS)[:, None]).sum(dim=0)
-    assert mean.tolist() == pytest.approx([-0.4, 0.25], abs=0.03)
-    assert 0.4 < chances[8:, 1].sum() < 0.6
-
-
 def test_a_batch_is_only_given_priorities_and_no_warning_is_raised():
     loss, *_ = make(noisy=True)
     batch = make_batch(6)
@@ -473,15 +212,6 @@ def test_a_batch_is_only_given_priorities_and_no_warning_is_raised():
         "q_mean": False,
         "clipped_mass": False,
     }
-
-
-def test_a_loss_restored_from_its_state_is_the_same():
-    loss, *_ = make(noisy=True)
-    other, *_ = make(noisy=True)
-    batch = make_batch(9)
-    assert loss(batch)["loss"] != other(batch)["loss"]
-    other.load_state_dict(loss.state_dict())
-    assert torch.equal(loss(batch)["loss"], other(batch)["loss"])
 
 
 def test_unusable_networks_batches_and_shares_are_refused():
@@ -508,24 +238,3 @@ def test_it_says_what_it_reads_and_refuses_batches_without_it():
     # Truncated transitions are done too: TorchRL's loss would take that flag instead.
     with pytest.raises(KeyError, match="terminated"):
         loss(make_batch(6).exclude(("next", "terminated")))
-
-
-@pytest.mark.parametrize("calls", [1, 2, 3])
-def test_an_exception_in_the_network_leaves_it_with_its_weights(calls):
-    """Of the online network, twice, and of the target network."""
-    loss, actor, _ = make()
-    network, seen = actor.module[0], []
-
-    def fail(module, inputs):
-        seen.append(inputs)
-        if len(seen) == calls:
-            raise RuntimeError("out of order")
-
-    objects = {name: id(value) for name, value in actor.named_parameters()}
-    values = {name: value.clone() for name, value in actor.named_parameters()}
-    handle = network.register_forward_pre_hook(fail)
-    with pytest.raises(RuntimeError, match="out of order"):
-        loss(make_batch())
-    handle.remove()
-    assert {name: id(value) for name, value in actor.named_parameters()} == objects
-    assert all(torch.equal(p, values[name]) for name, p in actor.named_parameters())

@@ -1,91 +1,28 @@
-"""The hook that finds the agent: which policy it takes, and what follows a switch."""
+"""The hook that finds the agent: what follows a switch, its options and its state."""
 
 from __future__ import annotations
 
 import copy
-import warnings
-from types import SimpleNamespace
 
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictSequential
-from torch import nn
-from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.envs import GymEnv
-from torchrl.modules import MLP, EGreedyModule, ValueOperator
-from torchrl.objectives import (
-    A2CLoss,
-    ClipPPOLoss,
-    CQLLoss,
-    DDPGLoss,
-    DQNLoss,
-    IQLLoss,
-    ReinforceLoss,
-    SACLoss,
-    SoftUpdate,
-    TD3Loss,
-)
-from torchrl.trainers.algorithms import DDPGTrainer, DQNTrainer, SACTrainer
+from torchrl.objectives import DDPGLoss, SACLoss
+from torchrl.trainers.algorithms import DDPGTrainer, SACTrainer
 
-from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook, find_policy
+from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook
 from gdrl_torchrl.evolution.hooks.contest import Verdict
 from gdrl_torchrl.evolution.operators.mutation import scaled_mutation
+from tests.evolution.hooks.trainers import (
+    action_value,
+    cartpole,
+    hook_for,
+    make_dqn,
+    pendulum,
+    trainer_of,
+)
 
-FRAMES = 300
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    # TorchRL warns that its trainers are prototypes.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
-def pendulum():
-    return GymEnv("Pendulum-v1")
-
-
-def cartpole():
-    return GymEnv("CartPole-v1")
-
-
-def state_value():
-    return ValueOperator(MLP(in_features=3, out_features=1, num_cells=[8]))
-
-
-def action_value():
-    network = MLP(in_features=4, out_features=1, num_cells=[8])
-    return ValueOperator(network, in_keys=["observation", "action"])
-
-
-def trainer_of(cls, loss, policy, env, *, frames=FRAMES, **options):
-    loss.make_value_estimator(gamma=0.99)
-    env.set_seed(0)
-    return cls(
-        collector=Collector(
-            env,
-            policy,
-            frames_per_batch=50,
-            total_frames=frames,
-            max_frames_per_traj=20,
-            auto_register_policy_transforms=False,
-        ),
-        total_frames=frames,
-        frame_skip=1,
-        optim_steps_per_batch=2,
-        loss_module=loss,
-        optimizer=torch.optim.Adam(loss.parameters(), lr=1e-3),
-        replay_buffer=TensorDictReplayBuffer(
-            storage=LazyTensorStorage(1000), batch_size=16
-        ),
-        target_net_updater=SoftUpdate(loss, tau=0.01),
-        enable_logging=False,
-        progress_bar=False,
-        **options,
-    )
+pytestmark = pytest.mark.usefixtures("quiet")
 
 
 @pytest.fixture
@@ -103,23 +40,6 @@ def ddpg(actor_of):
     actor = actor_of("deterministic", 3, env.action_spec)
     loss = DDPGLoss(actor, action_value(), delay_actor=True, delay_value=True)
     return trainer_of(DDPGTrainer, loss, actor, env), actor
-
-
-def make_dqn(actor_of, frames=FRAMES, *, apart=False, **options):
-    env = cartpole()
-    actor = actor_of("q_value", 4, env.action_spec)
-    loss = DQNLoss(actor, double_dqn=True, action_space=env.action_spec)
-    greedy = EGreedyModule(env.action_spec, annealing_num_steps=100)
-    policy = TensorDictSequential(actor, greedy)
-    policy = copy.deepcopy(policy) if apart else policy
-    options = {"greedy_module": greedy} | options
-    return trainer_of(DQNTrainer, loss, policy, env, frames=frames, **options), actor
-
-
-def hook_for(create_env_fn, **options):
-    small = {"num_children": 3, "period_episodes": 2, "num_trials": 1, "max_steps": 15}
-    strong = {"mut_v": 1.0, "rates": [1.0], "thresholds": []}
-    return AttachedGeneticHook(create_env_fn=create_env_fn, **small | strong | options)
 
 
 def watch(genetic):
@@ -210,94 +130,6 @@ def test_a_collector_with_its_own_policy_acts_with_the_winner(kind, request, act
     hook.genetic.evaluate()
     assert same(weights(own), populations[0][2])
     assert not same(weights(own), populations[0][0])
-    trainer.collector.shutdown()
-
-
-# Which policy
-
-
-def stochastic(actor_of):
-    return actor_of("tanh_normal", 3, pendulum().action_spec)
-
-
-def deterministic(actor_of):
-    return actor_of("deterministic", 3, pendulum().action_spec)
-
-
-def greedy(actor_of):
-    return actor_of("q_value", 4, cartpole().action_spec)
-
-
-LOSSES = {
-    "a2c": (stochastic, lambda actor: A2CLoss(actor, state_value())),
-    "cql": (stochastic, lambda actor: CQLLoss(actor, action_value())),
-    "ddpg": (deterministic, lambda actor: DDPGLoss(actor, action_value())),
-    "dqn": (greedy, lambda actor: DQNLoss(actor, action_space="one-hot")),
-    "iql": (stochastic, lambda actor: IQLLoss(actor, action_value(), state_value())),
-    "ppo": (stochastic, lambda actor: ClipPPOLoss(actor, state_value())),
-    "reinforce": (
-        stochastic,
-        lambda actor: ReinforceLoss(actor, critic_network=state_value()),
-    ),
-    "sac": (stochastic, lambda actor: SACLoss(actor, action_value())),
-    "sac_with_value": (
-        stochastic,
-        lambda actor: SACLoss(actor, action_value(), state_value()),
-    ),
-    "td3": (deterministic, lambda a: TD3Loss(a, action_value(), bounds=(-2.0, 2.0))),
-}
-
-
-@pytest.mark.parametrize("name", LOSSES)
-def test_the_policy_of_every_stock_loss_is_found(name, actor_of):
-    make_actor, make_loss = LOSSES[name]
-    actor = make_actor(actor_of)
-    loss = make_loss(actor)
-    found = getattr(loss, find_policy(loss))
-    learns = {parameter.data_ptr() for parameter in loss.parameters()}
-    assert {p.data_ptr() for p in found.parameters()} <= learns
-    assert {id(p) for p in found.parameters()} == {id(p) for p in actor.parameters()}
-
-
-class OddLoss(nn.Module):
-    """A loss with something under the name of the actor."""
-
-    def __init__(self, actor):
-        super().__init__()
-        self.layer = nn.Linear(3, 1)
-        self.value_network = state_value()
-        self.__dict__["actor_network"] = actor
-
-
-def other_policy():
-    return TensorDictModule(nn.Linear(3, 2), ["observation"], ["action"])
-
-
-@pytest.mark.parametrize(
-    "loss",
-    [nn.Linear(3, 1), OddLoss(other_policy()), OddLoss(nn.Linear(3, 1)), lambda td: td],
-    ids=["no_names", "not_trained", "not_of_tensordicts", "function"],
-)
-def test_without_a_policy_that_learns_it_is_refused(loss):
-    hook = hook_for(pendulum)
-    with pytest.raises(ValueError, match="actor_network or value_network"):
-        hook.register(SimpleNamespace(loss_module=loss))
-    assert hook.genetic is None
-
-
-def test_weights_in_other_processes_are_refused():
-    trainer = SimpleNamespace(learner_backend="ray", loss_module=nn.Linear(3, 1))
-    with pytest.raises(ValueError, match="learner_backend='ray'"):
-        hook_for(pendulum).register(trainer)
-
-
-def test_asynchronous_collection_is_refused(actor_of):
-    trainer, _ = make_dqn(actor_of)
-    trainer.async_collection = True
-    hook = hook_for(cartpole)
-    with pytest.raises(ValueError, match="async_collection"):
-        hook.register(trainer)
-    assert hook.genetic is None
     trainer.collector.shutdown()
 
 

@@ -1,10 +1,11 @@
-"""Evaluators on an easy task."""
+"""Evaluators on an easy task, and policies that do not explore."""
 
 from __future__ import annotations
 
 from functools import partial
 
 import pytest
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from gdrl_torchrl.envs.make import make_env
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
@@ -24,3 +25,10 @@ def evaluator_for(easy_task_for):
     yield make
     for evaluator in made:
         evaluator.close()
+
+
+@pytest.fixture
+def greedy():
+    """Policies act as they do when they do not explore."""
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        yield

@@ -19,6 +19,7 @@ from gdrl_torchrl.pictures.film import frames as frames_of
 from gdrl_torchrl.pictures.film import gl_backend, video
 from gdrl_torchrl.pictures.film.episodes import record_trajectories
 from gdrl_torchrl.pictures.film.video import write_video
+from tests.marks import full_but
 from tests.pictures.film.drivers import SEEDS, drift
 
 TASKS = ("water", "indoor")
@@ -35,6 +36,7 @@ def test_bad_requests_name_the_value(tmp_path: Path, short_task: NavigationTask)
 
 
 @pytest.mark.render
+@pytest.mark.parametrize("short_task", full_but(["water"], TASKS), indirect=True)
 def test_video_is_rendered(tmp_path: Path, short_task: NavigationTask) -> None:
     path = tmp_path / "videos" / "episodes.mp4"
 
@@ -49,6 +51,7 @@ def test_video_is_rendered(tmp_path: Path, short_task: NavigationTask) -> None:
 
 
 @pytest.mark.render
+@pytest.mark.parametrize("short_task", full_but(["indoor"], TASKS), indirect=True)
 def test_failure_while_rendering_leaves_a_drawn_video(
     tmp_path: Path,
     short_task: NavigationTask,
@@ -89,6 +92,7 @@ def test_video_is_drawn_without_a_backend(
     assert message in caplog.text
 
 
+@pytest.mark.full
 def test_process_with_rendering_switched_off_draws(tmp_path: Path) -> None:
     path = tmp_path / "episodes.mp4"
     code = f"""

@@ -1,4 +1,4 @@
-"""A run whose files are damaged and put back."""
+"""A run whose files are damaged and put back, and a folder with checkpoints."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs import evaluate as evaluation
 from gdrl_torchrl.runs.run import run_experiment
+from tests.reliability.files.states import State, checkpoints_of, content_of
 from tests.small import tiny_options
 
 
@@ -31,3 +32,11 @@ def without_episodes():
         for name in ("draw_learning_curve", "draw_trajectories"):
             patch.setattr(figures, name, lambda path: None)
         yield
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A folder with checkpoints of steps 10 and 20."""
+    for step in (10, 20):
+        checkpoints_of(tmp_path, State(content_of(step))).save(step)
+    return tmp_path

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.faults import FaultFiles
 from gdrl_torchrl.files.metrics import MetricsTable
@@ -20,14 +19,13 @@ from gdrl_torchrl.pictures import style
 from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
 from gdrl_torchrl.runs.tensorboard import ResumedTensorboardLogger
+from tests.small import compose
 
 
 @pytest.fixture
 def config(options_of, tmp_path):
     small = ["budget.agent_steps=80", "logger.video_episodes=0"]
-    return load_experiment(
-        [*options_of("gppo_water"), *small, f"runs_dir={tmp_path / 'runs'}"]
-    )
+    return compose([*options_of("gppo_water"), *small, f"runs_dir={tmp_path / 'runs'}"])
 
 
 @pytest.fixture
@@ -70,6 +68,7 @@ REPLACED = (
 )
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("name", FOLDERS)
 def test_a_folder_that_is_a_link_is_refused_without_loss(name, config, outside):
     run = directory_of(config).path
@@ -89,6 +88,7 @@ def test_figures_that_are_a_link_are_left_out_without_loss(config, outside, capl
     assert "the run is complete without it" in caplog.text
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("name", WRITTEN_INTO)
 def test_a_file_that_is_a_link_is_not_written_into(name, config, outside):
     run = directory_of(config).path
@@ -111,6 +111,7 @@ def test_what_is_written_anew_takes_the_place_of_links(config, outside):
     assert (run / "checkpoints" / ".hidden").is_symlink()
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_directory_may_be_a_link_itself(config, tmp_path):
     run, scratch = directory_of(config).path, tmp_path / "scratch"
     scratch.mkdir()
@@ -121,6 +122,7 @@ def test_a_run_directory_may_be_a_link_itself(config, tmp_path):
     assert run.is_symlink()
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("name", [".lock", "metrics.csv", "config.json", "DONE"])
 def test_a_pipe_is_waited_for_by_nobody(name, config):
     run = directory_of(config).path

@@ -77,7 +77,7 @@ def coverage(scores, truth):
 KINDS = ["normal", "near the ceiling", "some seeds fail"]
 
 
-@pytest.mark.parametrize("count", [10, 24])
+@pytest.mark.parametrize("count", [10, pytest.param(24, marks=pytest.mark.full)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_intervals_of_ten_and_more_seeds_cover_what_they_say(kind, count):
     assert 0.92 <= coverage(*invented(kind, count)) <= 0.98

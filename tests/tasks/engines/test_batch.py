@@ -6,6 +6,7 @@ import pytest
 import gdrl_tasks
 from gdrl_tasks import Outcome, StepResult, Stream, episode_seeds
 from gdrl_tasks.controllers import pursuit
+from tests.marks import full_but
 
 NUM_WORLDS = 56
 """More than 24 per thread, so that two threads really share the forces."""
@@ -132,7 +133,10 @@ def worlds_to_compare(results):
     return sorted(chosen)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+QUICK = ("far in a rough sea with a current", "indoor", "scattered, held and noisy")
+
+
+@pytest.mark.parametrize("variant", full_but(QUICK, VARIANTS))
 def test_routes_and_thread_counts_agree_over_whole_episodes(variant):
     options = VARIANTS[variant]
     seeds = episode_seeds(Stream.EVALUATION, 0, 0, NUM_WORLDS)

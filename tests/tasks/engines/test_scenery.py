@@ -17,6 +17,7 @@ from gdrl_tasks.engines.batch import BatchSimulation
 from gdrl_tasks.engines.scenery import cast_fewer_shadows, without_scenery
 from gdrl_tasks.water.scenery import _place_chase_camera
 from gdrl_tasks.water.wake import Track, foam
+from tests.marks import full_but
 
 BOX = '<geom size="0.1" contype="{touches}" conaffinity="0" mass="{mass}"/>'
 MODEL = """
@@ -119,7 +120,13 @@ def _free_view(
 
 @pytest.mark.render
 @pytest.mark.parametrize(
-    ("height_m", "azimuth_deg"), [(1.0, 0.0), (1.0, 60.0), (2.0, 120.0), (5.0, 300.0)]
+    ("height_m", "azimuth_deg"),
+    [
+        (1.0, 0.0),
+        pytest.param(1.0, 60.0, marks=pytest.mark.full),
+        pytest.param(2.0, 120.0, marks=pytest.mark.full),
+        (5.0, 300.0),
+    ],
 )
 def test_the_sea_goes_to_the_horizon_without_an_edge(height_m, azimuth_deg):
     environment = _drive("water", np.zeros(2), 2)
@@ -222,7 +229,7 @@ def test_bow_and_stern_look_different():
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("camera", ["top", "chase"])
+@pytest.mark.parametrize("camera", full_but(["chase"], ["top", "chase"]))
 @pytest.mark.parametrize("name", task_names())
 def test_things_cast_shadows(name, camera):
     environment = gdrl_tasks.load(name, random=0)
@@ -242,7 +249,7 @@ def test_things_cast_shadows(name, camera):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", full_but(["water"], task_names()))
 def test_pictures_of_any_size_up_to_3840_by_2160_are_rendered(name):
     environment = gdrl_tasks.load(name, random=0)
     environment.reset()
@@ -260,7 +267,13 @@ def test_pictures_of_any_size_up_to_3840_by_2160_are_rendered(name):
 
 @pytest.mark.render
 @pytest.mark.parametrize(
-    ("bearing_deg", "distance_m"), [(0.0, 3.0), (50.0, 5.0), (-80.0, 3.0), (120.0, 5.0)]
+    ("bearing_deg", "distance_m"),
+    [
+        pytest.param(0.0, 3.0, marks=pytest.mark.full),
+        pytest.param(50.0, 5.0, marks=pytest.mark.full),
+        (-80.0, 3.0),
+        (120.0, 5.0),
+    ],
 )
 def test_the_chase_camera_sees_vessel_and_goal(bearing_deg, distance_m):
     environment = _drive("water", np.zeros(2), 1)

@@ -56,10 +56,10 @@ def draw(arena, seeds, **options):
     ("arena", "count"),
     [
         *[(arena, 120) for arena in INSIDE_M],
-        pytest.param("paper", 4000, marks=pytest.mark.slow),
-        pytest.param("scatter", 4000, marks=pytest.mark.slow),
-        pytest.param("corridor", 2000, marks=pytest.mark.slow),
-        pytest.param("trap", 2000, marks=pytest.mark.slow),
+        pytest.param("paper", 4000, marks=pytest.mark.full),
+        pytest.param("scatter", 4000, marks=pytest.mark.full),
+        pytest.param("corridor", 2000, marks=pytest.mark.full),
+        pytest.param("trap", 2000, marks=pytest.mark.full),
     ],
 )
 def test_every_start_and_every_goal_has_room(arena, count, indoor_pose):

@@ -5,6 +5,7 @@ import pytest
 
 import gdrl_tasks
 from gdrl_tasks import Outcome
+from tests.marks import full_but
 
 FOOTPRINT_M = 0.11
 MARGIN_M = 0.005
@@ -87,7 +88,7 @@ def approaches(shape, count, indoor_at, **options):
 
 
 @every_shape
-@pytest.mark.parametrize("speed", [0.10, 0.15, 0.20])
+@pytest.mark.parametrize("speed", full_but([0.20], [0.10, 0.15, 0.20]))
 def test_who_drives_at_an_obstacle_collides(shape, speed, indoor_at, indoor_pose):
     count = 48
     options = {"speed_m_s": speed, "at_limit": "truncated", "goal_tolerance_m": 0.05}
@@ -149,7 +150,10 @@ def test_who_slides_along_a_wall_collides(indoor_at):
 
 
 @every_shape
-@pytest.mark.parametrize(("speed", "deepest_m"), [(0.15, 0.005), (0.20, 0.007)])
+@pytest.mark.parametrize(
+    ("speed", "deepest_m"),
+    [(0.15, 0.005), pytest.param(0.20, 0.007, marks=pytest.mark.full)],
+)
 def test_nobody_gets_through_an_obstacle(shape, speed, deepest_m, indoor_at, indoor_pose):
     """On and on, whatever the outcome: half of them straight, the others as they like."""
     count = 48

@@ -282,7 +282,7 @@ def test_ways_in_the_open_are_straight(goal):
 
 
 @every_arena
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.full)])
 def test_ways_are_as_long_as_dijkstra_says_on_a_fine_grid(arena, seed):
     own, space, places, goal = drawn(arena, seed)
     ways = space.distances_to(goal, FOOTPRINT_M)

@@ -1,162 +1,21 @@
 """The hull floats, swings, drives and drifts as its equations say."""
 
-import dataclasses
 import itertools
 import math
 
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
 import gdrl_tasks
 from gdrl_tasks import Stream, episode_seeds
 from gdrl_tasks.controllers import pursuit
 from gdrl_tasks.water import definition, waves
-from gdrl_tasks.water.hull import (
-    GRAVITY_M_S2,
-    WATER_DENSITY_KG_M3,
-    HullParameters,
-    make_hull,
-)
-from gdrl_tasks.water.kernel import sea_arrays, substep, substep_constants
+from gdrl_tasks.water.hull import GRAVITY_M_S2, WATER_DENSITY_KG_M3
 from gdrl_tasks.water.options import WaterOptions
-from gdrl_tasks.water.sines import sines
 from gdrl_tasks.water.task import WaterTask
 from tests.oracles.waves import orbital_velocity
-
-HULL = make_hull()
-SUBSTEP_S = WaterOptions().substep_s
-NUM_WORLDS = 48
-
-
-@dataclasses.dataclass
-class State:
-    """Anything that a hull may meet: ``W`` worlds."""
-
-    qpos: np.ndarray
-    qvel: np.ndarray
-    time: np.ndarray
-    thrust: np.ndarray
-    command: np.ndarray
-    current: np.ndarray
-    sea: dict
-
-
-def random_state(seed, *, still_water=False, level=False):
-    """Worlds in any attitude: afloat, flying, under water; half of them at time 0."""
-    generator = np.random.default_rng(seed)
-    count = NUM_WORLDS
-    seas = [
-        WaterTask(WaterOptions(sea=sea)).draw_episode(seed + i).arrays
-        for i, sea in enumerate(np.resize(["lake", "rough", "calm"], count))
-    ]
-    sea = {name: np.stack([a[name] for a in seas]) for name in waves.SEA_FIELDS}
-    if still_water:
-        sea["amplitude"][:] = 0.0
-    quaternion = generator.normal(size=(count, 4))
-    if level:
-        quaternion = np.array([1.0, 0.0, 0.0, 0.0]) + 0.1 * quaternion
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    position = generator.normal(size=(count, 3)) * [5.0, 5.0, 0.15]
-    return State(
-        qpos=np.concatenate([position, quaternion], axis=1),
-        qvel=generator.normal(size=(count, 6)),
-        time=np.where(np.arange(count) % 2, generator.uniform(0.0, 40.0, count), 0.0),
-        thrust=generator.uniform(-4.5, 22.5, (count, 2)),
-        command=generator.uniform(-1.0, 1.0, (count, 2)),
-        current=np.zeros((count, 2)) if still_water else generator.normal(size=(count, 2)),
-        sea=sea,
-    )
-
-
-def array_wrench(state, hull=HULL, *, substep_s=SUBSTEP_S, compensated=False):
-    mean, end = definition.advance_thrust(
-        hull, state.thrust, state.command, substep_s, compensated
-    )
-    wrench = definition.hull_wrench(
-        hull, state.sea, state.current, mean, state.qpos, state.qvel, state.time, substep_s
-    )
-    return wrench, end
-
-
-def kernel_wrench(state, ids, *, compensated=False):
-    thrust = state.thrust.copy()
-    wrench = np.full((NUM_WORLDS, 6), np.nan)
-    substep(
-        ids,
-        state.qpos,
-        state.qvel,
-        state.time,
-        wrench,
-        thrust,
-        state.command,
-        state.current,
-        sea_arrays(state.sea),
-        substep_constants(HULL, SUBSTEP_S, compensated),
-    )
-    return wrench, thrust
-
-
-@pytest.mark.parametrize("compensated", [False, True])
-@pytest.mark.parametrize("seed", range(5))
-def test_the_kernel_is_the_array_function(seed, compensated):
-    state = random_state(seed)
-    expected, thrust = array_wrench(state, compensated=compensated)
-    wrench, kernel_thrust = kernel_wrench(
-        state, np.arange(NUM_WORLDS), compensated=compensated
-    )
-    # Both sum forces that may cancel: errors are relative to the largest of them.
-    tolerance = 1e-12 * np.abs(expected).max()
-    np.testing.assert_allclose(wrench, expected, rtol=0.0, atol=tolerance)
-    np.testing.assert_allclose(kernel_thrust, thrust, rtol=1e-13)
-
-
-def test_the_kernel_writes_only_the_worlds_it_is_given():
-    state = random_state(0)
-    ids = np.array([1, 5, 7])
-    wrench, thrust = kernel_wrench(state, ids)
-    others = np.setdiff1d(np.arange(NUM_WORLDS), ids)
-    assert np.isfinite(wrench[ids]).all()
-    assert np.isnan(wrench[others]).all()
-    np.testing.assert_array_equal(thrust[others], state.thrust[others])
-
-
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
-@example([0.0, -0.0, math.pi / 4, -math.pi / 4, math.pi / 2, 3 * math.pi, 1e6, -1e6])
-def test_sines_are_those_of_the_mathematics(angles):
-    cosine, sine = np.empty(len(angles)), np.empty(len(angles))
-    sines(np.array(angles), cosine, sine)
-    np.testing.assert_allclose(cosine, [math.cos(x) for x in angles], rtol=0, atol=5e-16)
-    np.testing.assert_allclose(sine, [math.sin(x) for x in angles], rtol=0, atol=5e-16)
-
-
-@pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
-def test_there_is_no_sine_of_what_is_no_angle(angle):
-    cosine, sine = np.zeros(5), np.zeros(5)
-    sines(np.full(5, angle), cosine, sine)
-    assert np.isnan(cosine).all()
-    assert np.isnan(sine).all()
-
-
-def test_a_hull_of_too_many_points_is_refused():
-    with pytest.raises(ValueError, match="66 points"):
-        substep_constants(make_hull(HullParameters(stations=33)), SUBSTEP_S, False)
-
-
-def test_torch_gives_the_same_forces_as_numpy():
-    torch = pytest.importorskip("torch")
-    state = random_state(11)
-    expected, thrust = array_wrench(state)
-    tensors = State(
-        *(torch.from_numpy(getattr(state, name)) for name in list(vars(state))[:-1]),
-        sea={name: torch.from_numpy(value) for name, value in state.sea.items()},
-    )
-    wrench, tensor_thrust = array_wrench(tensors)
-    tolerance = 1e-12 * np.abs(expected).max()
-    np.testing.assert_allclose(wrench.numpy(), expected, rtol=0.0, atol=tolerance)
-    np.testing.assert_allclose(tensor_thrust.numpy(), thrust, rtol=1e-13)
+from tests.tasks.water.hulls import HULL, NUM_WORLDS, SUBSTEP_S, array_wrench, random_state
 
 
 def cross_matrix(vector):
@@ -448,12 +307,18 @@ SUBSTEP_CASES = [(sea, driven) for sea in ("lake", "rough") for driven in (True,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sea", "is_driven"), SUBSTEP_CASES)
+@pytest.mark.parametrize(
+    ("sea", "is_driven"),
+    [
+        pytest.param(*case, marks=[pytest.mark.full] * (case != ("rough", False)))
+        for case in SUBSTEP_CASES
+    ],
+)
 def test_the_substep_is_fine_enough(sea, is_driven):
     assert substep_error(WaterOptions().substep_s, sea, is_driven) <= 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_next_longer_substep_is_not_fine_enough():
     # The worst of the cases, with enough worlds for a close call.
     assert substep_error(0.25 / 7, "rough", False, num_worlds=256) > 0.02

@@ -68,15 +68,16 @@ def spectral_moments(series, interval_s):
     ],
     ids=["lake", "rough", "swell", "short", "short-60", "high", "long", "regular"],
 )
-def test_height_and_energy_period_are_those_requested(options):
-    sea, heights, periods = episodes(options, seeds=range(20))
+@pytest.mark.parametrize("seas", [5, pytest.param(20, marks=pytest.mark.full)])
+def test_height_and_energy_period_are_those_requested(options, seas):
+    sea, heights, periods = episodes(options, seeds=range(seas))
     places = np.array([[0.0, 0.0], [3.0, 1.0], [-5.0, 2.0], [0.4, -7.0], [11.0, 13.0]])
-    x, y = (np.tile(places[:, i], (20, 1)) for i in range(2))
+    x, y = (np.tile(places[:, i], (seas, 1)) for i in range(2))
     # Long enough for neighbouring frequencies to go in and out of step many times.
     interval = 0.15 * max(1.0, periods.max() / 2.0)
     times = interval * np.arange(12_000)
-    record = np.stack([elevation(sea, x, y, np.full(20, time)) for time in times], axis=-1)
-    wanted_height = np.broadcast_to(heights[:, None], (20, 5))
+    record = np.stack([elevation(sea, x, y, np.full(seas, t)) for t in times], axis=-1)
+    wanted_height = np.broadcast_to(heights[:, None], (seas, 5))
     np.testing.assert_allclose(4.0 * record.std(axis=-1), wanted_height, rtol=0.05)
     zeroth, minus_first = spectral_moments(record, interval)
     np.testing.assert_allclose(4.0 * np.sqrt(zeroth), wanted_height, rtol=0.05)
