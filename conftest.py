@@ -28,7 +28,10 @@ hypothesis.settings.register_profile("default", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("default")
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        # It starts the processes that run tests, and runs none itself.
+        return
     # tensordict loads Triton. Loaded after Mesa's software driver, whose LLVM differs
     # from its own, Triton ends the process with a segmentation fault.
     import tensordict  # noqa: F401

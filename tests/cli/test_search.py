@@ -133,6 +133,7 @@ def test_worlds_that_decide_are_not_those_of_reports(tmp_path):
     assert experiment.budget.agent_steps is None
 
 
+@pytest.mark.full
 def test_choices_ranges_and_whole_numbers_stay_what_they_are(tmp_path):
     params = {
         "evolution.num_children": "choice(5, 10)",

@@ -10,7 +10,6 @@ from torch import nn
 from gdrl_torchrl.files.evaluation import read_curve
 from gdrl_torchrl.runs.kept_policies import COSTS, KeptPolicies
 from gdrl_torchrl.runs.run import run_experiment
-from tests.marks import gppo_is_quick
 
 
 def kept_of(actor, spent, **options):
@@ -52,7 +51,7 @@ def test_a_state_brings_them_back_but_not_those_of_another_budget():
         longer.load_state_dict(kept.state_dict())
 
 
-@gppo_is_quick
+@pytest.mark.full
 def test_an_interrupted_run_keeps_what_an_uninterrupted_one_keeps(
     tiny_of_each, tmp_path, without_figures
 ):

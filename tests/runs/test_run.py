@@ -16,8 +16,9 @@ from gdrl_torchrl.pictures import figures
 from gdrl_torchrl.runs import report, run
 from gdrl_torchrl.runs.monitor import COLUMNS
 from gdrl_torchrl.runs.run import run_experiment
-from tests.marks import grainbow_is_quick
+from tests.marks import full_but, grainbow_is_quick
 
+PICTURES = ("draw_learning_curve", "draw_trajectories", "write_video")
 pytestmark = pytest.mark.usefixtures("without_figures")
 
 
@@ -139,9 +140,7 @@ def test_a_finished_run_is_not_trained_again(tiny, monkeypatch, rows_of):
     assert changed <= {".lock"}
 
 
-@pytest.mark.parametrize(
-    "part", ["draw_learning_curve", "draw_trajectories", "write_video"]
-)
+@pytest.mark.parametrize("part", full_but(["draw_trajectories"], PICTURES))
 def test_pictures_that_cannot_be_made_do_not_fail_a_run(part, tiny, monkeypatch, caplog):
     def broken(*arguments, **options):
         raise RuntimeError("there is no ffmpeg here")

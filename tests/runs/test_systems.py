@@ -23,7 +23,7 @@ SYSTEMS = {
     "control_selection_water": "control_selection_ppo",
 }
 """Each way to evolve once; beside them ``make test-full`` kills every experiment."""
-QUICK = ("ga_water", "erl_indoor", "crossover_water")
+QUICK = ("ga_water", "erl_indoor")
 """Of each kind of evolution one: no agent, a population beside it, children of it."""
 PLAIN = [
     "logger.tensorboard=false",

@@ -83,6 +83,7 @@ def test_tensorboard_has_configuration_result_and_figures(tiny, evaluation_of):
 
 
 @pytest.mark.usefixtures("without_figures")
+@pytest.mark.full
 def test_a_table_of_fewer_columns_is_gone_on_with(tiny, rows_of):
     begun = run_experiment(tiny())
     old = ("total_steps", "agent_steps", "wall_s", "success_rate", "mut_p", "switched")

@@ -59,6 +59,7 @@ def test_results_are_those_of_the_runs(undisturbed):
         assert row["total_steps"] >= 100 * row["point"], "kept once its mark is reached"
 
 
+@pytest.mark.full
 def test_a_study_that_was_interrupted_twice_ends_as_an_undisturbed_one(
     undisturbed, tmp_path
 ):

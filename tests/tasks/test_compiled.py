@@ -81,6 +81,7 @@ def test_a_full_disk_does_not_stop_who_calculates(part, monkeypatch, caplog):
     assert len(caplog.messages) == 1
 
 
+@pytest.mark.full
 def test_a_function_is_compiled_anew_after_what_it_calls_has_changed(tmp_path):
     part = "from gdrl_tasks.compiled import compiled\n@compiled\ndef part(x):\n    return x"
     whole = part.replace("part(x)", "whole(x)").replace("return x", "return part(x)")

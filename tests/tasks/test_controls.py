@@ -139,6 +139,7 @@ def test_who_has_learnt_nothing_fails_indoors(arena, policy_of):
     assert success_rate("indoor", policy_of, arena=arena) <= 0.05
 
 
+@pytest.mark.full
 def test_the_blocks_stop_who_only_pursues_the_goal():
     assert 0.2 <= success_rate("indoor", chase_by_turning) <= 0.6
 

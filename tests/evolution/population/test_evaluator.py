@@ -15,6 +15,9 @@ from gdrl_tasks import Outcome, Stream
 from gdrl_tasks.seeds import stream_of
 from gdrl_torchrl.envs.navigation import NavigationEnv
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from tests.marks import full_but
+
+QUICK = ("tanh_normal", "distributional")
 
 
 def play(task, actor, seed, *, max_steps=math.inf):
@@ -37,6 +40,11 @@ def play(task, actor, seed, *, max_steps=math.inf):
 # Equality with the oracle
 
 
+@pytest.mark.parametrize(
+    "actor_kind",
+    full_but(QUICK, [*QUICK, "deterministic", "sequential", "q_value"]),
+    indirect=True,
+)
 def test_scores_equal_playing_each_member_alone(
     actor_kind, actor_of, population_of, member_of, easy_task_for, evaluator_for
 ):

@@ -18,6 +18,7 @@ from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
 @pytest.mark.parametrize("worlds", [132, pytest.param(60, marks=pytest.mark.full)])
+@pytest.mark.full
 def test_shrinking_blocks_are_whole_batches_of_the_environment(
     worlds, actor_of, population_of
 ):

@@ -19,6 +19,7 @@ from gdrl_torchrl.pictures import style
 from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
 from gdrl_torchrl.runs.tensorboard import ResumedTensorboardLogger
+from tests.marks import full_but
 from tests.small import compose
 
 
@@ -69,7 +70,7 @@ REPLACED = (
 
 
 @pytest.mark.usefixtures("without_figures")
-@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.parametrize("name", full_but(["checkpoints"], FOLDERS))
 def test_a_folder_that_is_a_link_is_refused_without_loss(name, config, outside):
     run = directory_of(config).path
     linked(run, name, outside)
