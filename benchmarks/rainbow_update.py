@@ -31,10 +31,8 @@ from torchrl.objectives import DistributionalDQNLoss, SoftUpdate
 from benchmarks.common import finish, measure, ratio, show
 from benchmarks.plain_rainbow import DuelingNetwork, Rainbow, Replay
 from gdrl_tasks import make_task
-from gdrl_torchrl.agents.rainbow.agent import (
-    RainbowLearner,
-    make_rainbow_actor,
-)
+from gdrl_torchrl.agents.rainbow.agent import make_rainbow_actor
+from gdrl_torchrl.agents.rainbow.learner import RainbowLearner
 from gdrl_torchrl.agents.rainbow.loss import resample_noise
 from gdrl_torchrl.agents.rainbow.replay import draw_minibatch
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig

@@ -90,7 +90,8 @@ def _parser() -> CommandParser:
 def main() -> None:
     """Entry point of ``gdrl-study``."""
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
-    parsed = _parser().parse_args()
+    # A switch may stand anywhere among the other arguments.
+    parsed = _parser().parse_intermixed_args()
     try:
         config, rest = load_study(parsed.arguments)
         workers = _whole("workers", rest["workers"], 1, _MOST_WORKERS)

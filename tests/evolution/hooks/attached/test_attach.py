@@ -13,7 +13,7 @@ from torchrl.trainers.algorithms import DDPGTrainer, SACTrainer
 from gdrl_torchrl.evolution.hooks.attach import AttachedGeneticHook
 from gdrl_torchrl.evolution.hooks.contest import Verdict
 from gdrl_torchrl.evolution.operators.mutation import scaled_mutation
-from tests.evolution.hooks.trainers import (
+from tests.evolution.hooks.attached.trainers import (
     action_value,
     cartpole,
     hook_for,

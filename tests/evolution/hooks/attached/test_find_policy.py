@@ -20,7 +20,7 @@ from torchrl.objectives import (
 )
 
 from gdrl_torchrl.evolution.hooks.attach import find_policy
-from tests.evolution.hooks.trainers import (
+from tests.evolution.hooks.attached.trainers import (
     action_value,
     cartpole,
     hook_for,
