@@ -34,6 +34,7 @@ def evaluate_policy(
     """Run the greedy policy on held-out worlds, and the policy that samples its actions.
 
     The two may differ by far: where a mean action falls into a dead zone, only noise moves.
+    A policy that says of itself that it ``is_deterministic`` is run once.
 
     Args:
         task: The task.
@@ -94,14 +95,19 @@ def evaluate_kept(
         What each had cost, its number from 1, ``success_rate`` (greedy) and
         ``success_rate_sampled``.
     """
+    # Marks that one step of training passed keep the same policy, which is run once.
+    steps = torch.tensor([point["total_steps"] for point in kept.points])
+    _, policy, marks = steps.unique_consecutive(return_inverse=True, return_counts=True)
+    last = marks.cumsum(0) - 1
     results = _held_out(
-        *(task, actor, kept.genomes(), config.evaluation, config.task.backend),
+        *(task, actor, kept.genomes()[last], config.evaluation, config.task.backend),
         *(config.simulation.num_threads, on_divergence),
     )
-    rates = [result[keys.SUCCESSES].double().mean(dim=-1).tolist() for result in results]
+    greedy, sampled = (r[keys.SUCCESSES].double().mean(dim=-1)[policy] for r in results)
+    rows = zip(kept.points, greedy.tolist(), sampled.tolist(), strict=True)
     return [
-        {"point": i + 1, **point, "success_rate": greedy, "success_rate_sampled": sampled}
-        for i, (point, greedy, sampled) in enumerate(zip(kept.points, *rates, strict=True))
+        {"point": i + 1, **point, "success_rate": rate, "success_rate_sampled": drawn}
+        for i, (point, rate, drawn) in enumerate(rows)
     ]
 
 
@@ -133,6 +139,8 @@ def _held_out(
     seeds = torch.from_numpy(held_out_seeds(config))
     try:
         greedy = evaluator.evaluate(genomes, seeds=seeds)
+        if getattr(actor, "is_deterministic", False):
+            return greedy, greedy
         evaluator.exploration_type = ExplorationType.RANDOM
         return greedy, evaluator.evaluate(genomes, seeds=seeds)
     finally:

@@ -13,12 +13,22 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import gdrl_tasks
-from gdrl_tasks import Outcome, Stream
+from gdrl_tasks import Outcome, Stream, make_task
 from gdrl_tasks.seeds import stream_of
+from gdrl_torchrl.agents.rainbow.network import make_q_actor
 from gdrl_torchrl.agents.registry import make_actor
 from gdrl_torchrl.config.schema import EvaluationConfig
+from gdrl_torchrl.evolution.operators.genome import install
+from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.files.policy import load_policy, params_sha256, save_policy
-from gdrl_torchrl.runs.evaluate import evaluate_policy, greedy_act, held_out_seeds
+from gdrl_torchrl.runs.evaluate import (
+    evaluate_kept,
+    evaluate_policy,
+    greedy_act,
+    held_out_seeds,
+)
+from gdrl_torchrl.runs.kept_policies import COSTS, KeptPolicies
+from tests.small import EASY_WATER, compose
 
 OUTCOMES = {
     "success_rate": Outcome.SUCCESS,
@@ -101,6 +111,54 @@ def test_both_modes_are_evaluated_on_the_same_worlds(actor_of, easy_task_for):
     assert noisy == again
     assert noisy["success_rate"] == scores["success_rate"]
     assert noisy["success_rate_sampled"] != scores["success_rate_sampled"]
+
+
+def test_a_deterministic_policy_is_run_once_and_a_noisy_one_in_both_modes(monkeypatch):
+    task = make_task("water", **EASY_WATER, actions="discrete")
+    runs, evaluate = [], PopulationEvaluator.evaluate
+
+    def counted(self, population, **options):
+        runs.append(self.exploration_type)
+        return evaluate(self, population, **options)
+
+    monkeypatch.setattr(PopulationEvaluator, "evaluate", counted)
+    config = EvaluationConfig(episodes=40, num_worlds=20)
+    for noisy, modes in ((False, ["DETERMINISTIC"]), (True, ["DETERMINISTIC", "RANDOM"])):
+        actor = make_q_actor(
+            task.spec.observation_size,
+            7,
+            value_range=(-1.0, 1.0),
+            noisy=noisy,
+            noisy_std=5.0,
+        )
+        scores = evaluate_policy(task, actor, config, num_threads=1)
+        assert [mode.name for mode in runs] == modes
+        runs.clear()
+        alike = scores["success_rate_sampled"] == scores["success_rate"]
+        assert alike is not noisy
+
+
+def test_a_policy_of_several_marks_has_one_result_and_others_their_own(
+    actor_of, easy_task_for
+):
+    task, actor, spent = easy_task_for(), actor_of("tanh_normal"), {}
+    kept = KeptPolicies(4, 100, actor, lambda: dict.fromkeys(COSTS, 0.0) | spent)
+    for steps in (25, 80, 100):
+        spent["total_steps"] = steps
+        for parameter in actor.parameters():
+            nn.init.normal_(parameter)
+        kept()
+    config = compose(["experiment=gppo_water"])
+    config.evaluation.episodes, config.evaluation.num_worlds = 40, 20
+    points = evaluate_kept(task, actor, kept, config)
+    assert [point["total_steps"] for point in points] == [25, 80, 80, 100]
+    assert [point["point"] for point in points] == [1, 2, 3, 4]
+    rates = []
+    for genome in kept.genomes():
+        install(actor, genome)
+        rates.append(evaluate_policy(task, actor, config.evaluation)["success_rate"])
+    assert [point["success_rate"] for point in points] == rates
+    assert len(set(rates)) == 3
 
 
 def test_held_out_worlds_are_apart_from_training_and_fitness():

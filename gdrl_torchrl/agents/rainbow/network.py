@@ -123,6 +123,11 @@ def make_q_actor(
 class DuelingActor(DistributionalQValueActor):
     """The policy of the best expected value, many members of which act as one batch."""
 
+    @property
+    def is_deterministic(self) -> bool:
+        """Whether it acts alike in every exploration mode: it has no noisy layer."""
+        return not any(isinstance(module, NoisyLinear) for module in self.modules())
+
     def prepared(self, params: TensorDictBase) -> Greedy | None:
         """Make the greedy policy of members with parameters ``[P]``, nested by name.
 
