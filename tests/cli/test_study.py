@@ -74,6 +74,15 @@ def test_a_mistake_is_one_line(arguments, said, monkeypatch):
     assert said in line
 
 
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_switch_may_stand_anywhere(place, monkeypatch, tmp_path, capsys):
+    arguments = ["study=pilot", f"results={tmp_path}"]
+    arguments.insert(place, "--status")
+    monkeypatch.setattr(sys, "argv", ["gdrl-study", *arguments])
+    main()
+    assert "5 waiting" in capsys.readouterr().out
+
+
 def working(folder, *options):
     return subprocess.Popen(
         [sys.executable, "-m", "gdrl_torchrl.cli.study", *TINY_PILOT, *options],
