@@ -1,6 +1,12 @@
-"""Write the runs below a folder: ``python collect.py <folder> > runs.csv``."""
+"""Write the finished runs below a folder as a table, with the options that tell them apart.
+
+    python results/collect.py <folder> [<option> ...] > runs.csv
+
+An option is written as on the command line: ``algorithm.learning_rate``.
+"""
 
 import csv
+import functools
 import json
 import sys
 from pathlib import Path
@@ -11,8 +17,8 @@ RESULT = (
 )
 
 
-def rows(folder: Path) -> list[dict[str, object]]:
-    """What each finished run ended with."""
+def rows(folder: Path, options: list[str]) -> list[dict[str, object]]:
+    """What each finished run was made with, and what it ended with."""
     found = []
     for file in sorted(folder.rglob("evaluation.json")):
         result = json.loads(file.read_text())
@@ -21,7 +27,10 @@ def rows(folder: Path) -> list[dict[str, object]]:
             {
                 "arm": config["name"],
                 "seed": result["seed"],
-                "dead_zone_compensated": config["task"]["dead_zone_compensated"],
+                **{
+                    option: functools.reduce(dict.__getitem__, option.split("."), config)
+                    for option in options
+                },
                 **{name: result[name] for name in RESULT},
             }
         )
@@ -29,7 +38,7 @@ def rows(folder: Path) -> list[dict[str, object]]:
 
 
 if __name__ == "__main__":
-    table = rows(Path(sys.argv[1]))
+    table = rows(Path(sys.argv[1]), sys.argv[2:])
     writer = csv.DictWriter(sys.stdout, list(table[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(table)
