@@ -216,6 +216,15 @@ def test_shipped_values_are_the_defaults_of_the_schema(group, default):
     assert getattr(load_experiment([]), group) == default
 
 
+@pytest.mark.parametrize(
+    "experiment", ["ppo_water", "gppo_water", "erl_water", "soft_water"]
+)
+def test_a_batch_without_a_goal_is_not_scaled_up_on_water(experiment):
+    assert not load_experiment([f"experiment={experiment}"]).algorithm.normalize_advantage
+    normalised = load_experiment([f"experiment={experiment}", "algorithm=ppo"])
+    assert normalised.algorithm.normalize_advantage
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_an_algorithms_configuration_has_the_defaults_of_its_schema(name):
     assert load_experiment([f"algorithm={name}"]).algorithm == ALGORITHMS[name]()
