@@ -111,7 +111,7 @@ OTHERS = {
     "gdrl-train +experiment=gppo_water": "must be given once, without +",
     "gdrl-train task=null": "task=null must be one of indoor, indoor_corridor, ",
     "gdrl-train evaluation=3": "must be given by its options, such as evaluation.<option>",
-    "gdrl-train algorithm=dqn": "algorithm=dqn must be one of ga, ppo, rainbow",
+    "gdrl-train algorithm=dqn": "algorithm=dqn must be one of ga, ppo, ppo_sparse, rainbow",
     "gdrl-train --fast": "must be a switch that exists: see gdrl-train --help",
     "gdrl-train experiment=ppo_water +regime=unstable": (
         "regime=unstable must go with what else is chosen: it sets algorithm.target_tau"
