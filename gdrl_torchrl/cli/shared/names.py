@@ -18,7 +18,7 @@ def names_in(group: str) -> tuple[str, ...]:
 
     Examples:
         >>> names_in("algorithm")
-        ('ga', 'ppo', 'rainbow')
+        ('ga', 'ppo', 'ppo_sparse', 'rainbow')
     """
     return tuple(sorted(_files_in(group)))
 
