@@ -69,6 +69,9 @@ def test_a_full_disk_does_not_stop_who_calculates(part, monkeypatch, caplog):
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
+    # Nothing is kept yet, and nothing stays for the next run of this test.
+    for method in ("save", "load"):
+        monkeypatch.setattr(IndexDataCacheFile, method, lambda *arguments: None)
     monkeypatch.setattr(IndexDataCacheFile, part, full)
     module._say_that_nothing_is_kept.cache_clear()
 
