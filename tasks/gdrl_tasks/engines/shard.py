@@ -82,15 +82,17 @@ class Shard:
         if len(ids) == 0:
             return np.zeros(0, dtype=bool)
         substeps = self.task.spec.num_substeps
+        # The engine checks the numbers of worlds at every call, but not that they are all.
+        which = None if len(ids) == len(self._qpos) else ids
         self._engine_qpos[...], self._engine_qvel[...] = self._qpos, self._qvel
         if self._control is not None:
             self._control[...] = self.arrays["control"]
         if self.task.has_substep_forces:
             for _ in range(substeps):
                 self._apply_forces(ids)
-                self.batch.step(ids)
+                self.batch.step(which)
         else:
-            self.batch.step(ids, substeps)
+            self.batch.step(which, substeps)
         self._qpos[...], self._qvel[...] = self._engine_qpos, self._engine_qvel
         sane = rows_are_sane(ids, self._qpos, self._qvel)
         warnings = self.batch.warning
