@@ -12,7 +12,7 @@ from gdrl_torchrl.cli.shared.compose import merge_task
 from gdrl_torchrl.cli.shared.saved_config import READ, config_of, named
 from gdrl_torchrl.config.options import nearest, wrong_type
 from gdrl_torchrl.config.schema import EvaluationConfig
-from gdrl_torchrl.config.task import make_task_from_config
+from gdrl_torchrl.config.task import check_fits_policy, make_task_from_config
 from gdrl_torchrl.files.fields import read_object
 
 _OPTIONS = [
@@ -73,15 +73,10 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
     }
     evaluation = dataclasses.replace(config.evaluation, **numbers)
     with named(path):
-        trained = make_task_from_config(config.task).spec
+        trained = make_task_from_config(config.task)
     task_config = merge_task(saved["task"], overrides)
     task = make_task_from_config(task_config)
-    for name in ("observation", "action_size", "is_discrete"):
-        if getattr(task.spec, name) != getattr(trained, name):
-            raise ValueError(
-                f"task.{' task.'.join(overrides)}: the policy was trained with "
-                f"{name}={getattr(trained, name)}, not {getattr(task.spec, name)}"
-            )
+    check_fits_policy(trained, task, f"task.{' task.'.join(overrides)}")
     # torch takes seconds to import: what is wrong is said before.
     from gdrl_torchrl.agents.registry import make_actor
     from gdrl_torchrl.files.policy import load_policy, params_sha256

@@ -92,6 +92,9 @@ class StudyConfig:
     """Level of the tests of all hypotheses together."""
     hypotheses: list[Hypothesis] = dataclasses.field(default_factory=list)
     """What is tested; anything else in a report is a look."""
+    elsewhere: dict[str, dict[str, list[str]]] = dataclasses.field(default_factory=dict)
+    """Other worlds that the final policies of a task's runs are evaluated on too: by the
+    task's name and their own, overrides that make them of the task."""
 
     def __post_init__(self) -> None:
         check_fields(self, "study")
@@ -112,6 +115,13 @@ class StudyConfig:
                 check_choice(f"study.methods.{name}.tasks", task, self.tasks)
         for hypothesis in self.hypotheses:
             self._check(hypothesis)
+        for task, worlds in self.elsewhere.items():
+            self._check_worlds(task, worlds)
+
+    def _check_worlds(self, task: str, worlds: dict[str, list[str]]) -> None:
+        check_choice("a task in study.elsewhere", task, self.tasks)
+        for name in worlds:
+            check_folder(f"study.elsewhere.{task}", name)
 
     def _check(self, hypothesis: Hypothesis) -> None:
         start = f"study.hypotheses: {hypothesis.name}"

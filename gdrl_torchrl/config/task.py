@@ -68,6 +68,22 @@ def make_task_from_config(config: Any) -> NavigationTask:
         raise ValueError(f"task{joint}{error}") from error
 
 
+def check_fits_policy(trained: NavigationTask, task: NavigationTask, given: str) -> None:
+    """Raise ValueError unless a policy that was trained on a task can act in another one.
+
+    Args:
+        trained: What it was trained on.
+        task: The other one.
+        given: What made it so, as it was given.
+    """
+    for name in ("observation", "action_size", "is_discrete"):
+        if getattr(task.spec, name) != getattr(trained.spec, name):
+            raise ValueError(
+                f"{given}: the policy was trained with {name}="
+                f"{getattr(trained.spec, name)}, not {getattr(task.spec, name)}"
+            )
+
+
 def _rules(field: dataclasses.Field[Any], hint: Any) -> dict[str, Any]:
     """What a value may be, and words that its simpler type no longer tells."""
     kinds = [hint, *typing.get_args(hint)]

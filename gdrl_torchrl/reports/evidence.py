@@ -28,6 +28,7 @@ class Run:
             costs of a run that failed.
         curve: Success over what it cost, columns ``[K]`` by name; empty if there is none,
             or the run failed.
+        elsewhere: Success of its final policy in other worlds, by their name.
     """
 
     seed: int
@@ -36,6 +37,7 @@ class Run:
     score: float
     numbers: Mapping[str, float]
     curve: Mapping[str, np.ndarray]
+    elsewhere: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -62,7 +62,10 @@ def read_study(folder: Path) -> Evidence:
             f"study={folder.name} must be a study with results: there is no "
             f"{folder / 'protocol.json'}"
         ) from error
-    return study_evidence(folder, digest, protocol, results.runs(), results.curves())
+    return study_evidence(
+        *(folder, digest, protocol),
+        *(results.runs(), results.curves(), results.elsewhere()),
+    )
 
 
 def study_evidence(
@@ -71,6 +74,7 @@ def study_evidence(
     protocol: Mapping[str, Any],
     runs: Iterable[Mapping[str, Any]],
     points: Iterable[Mapping[str, Any]],
+    elsewhere: Iterable[Mapping[str, Any]] = (),
 ) -> Evidence:
     """Evidence from what a study has written.
 
@@ -80,6 +84,7 @@ def study_evidence(
         protocol: What was fixed before the runs.
         runs: Rows of ``runs.csv``: one a run.
         points: Rows of ``curves.csv``: one for each policy that a run has kept.
+        elsewhere: Rows of ``elsewhere.csv``: one for each run and kind of other worlds.
     """
     planned = [
         (task, method, seed)
@@ -91,12 +96,18 @@ def study_evidence(
     curves: dict[Key, list[Mapping[str, Any]]] = {}
     for point in points:
         curves.setdefault(_key(point), []).append(point)
+    others: dict[Key, dict[str, float]] = {}
+    for row in elsewhere:
+        others.setdefault(_key(row), {})[row["worlds"]] = _number(row["success_rate"])
     labels = _labels(protocol)
     arms = []
     for task, method in _pairs(protocol):
         keys = [key for key in planned if key[:2] == (task, method)]
         done = tuple(
-            _run(rows[key], curves.get(key, []), protocol["metric"])
+            _run(
+                *(rows[key], curves.get(key, []), others.get(key, {})),
+                protocol["metric"],
+            )
             for key in keys
             if key in rows
         )
@@ -137,7 +148,12 @@ def _key(row: Mapping[str, Any]) -> Key:
     return row["task"], row["method"], int(row["seed"])
 
 
-def _run(row: Mapping[str, Any], points: Sequence[Mapping[str, Any]], metric: str) -> Run:
+def _run(
+    row: Mapping[str, Any],
+    points: Sequence[Mapping[str, Any]],
+    elsewhere: Mapping[str, float],
+    metric: str,
+) -> Run:
     failed = row["state"] == "failed"
     # What a run that failed had cost says nothing of what one costs.
     names = ("success_rate", "success_rate_sampled") if failed else _NUMBERS
@@ -153,6 +169,7 @@ def _run(row: Mapping[str, Any], points: Sequence[Mapping[str, Any]], metric: st
         curve={
             name: np.array([_number(point[name]) for point in by_point]) for name in _CURVE
         },
+        elsewhere=elsewhere,
     )
 
 
@@ -218,7 +235,7 @@ def _sources(
 ) -> Iterable[str]:
     yield f"gdrl-report study={protocol['name']}"
     yield f"runs by gdrl-study study={protocol['name']}, protocol {digest[:12]}"
-    for name in ("runs.csv", "curves.csv"):
+    for name in ("runs.csv", "curves.csv", "elsewhere.csv"):
         path = folder / name
         if path.exists():
             found = hashlib.sha256(path.read_bytes()).hexdigest()[:12]

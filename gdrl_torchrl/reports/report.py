@@ -9,6 +9,7 @@ from gdrl_torchrl.reports.evidence import Evidence
 from gdrl_torchrl.reports.page.content import Section
 from gdrl_torchrl.reports.page.write import write_pages
 from gdrl_torchrl.reports.sections.comparison import comparison_section
+from gdrl_torchrl.reports.sections.elsewhere import elsewhere_section
 from gdrl_torchrl.reports.sections.hypotheses import hypotheses_section
 from gdrl_torchrl.reports.sections.learning import learning_section
 from gdrl_torchrl.reports.sections.question import question_section
@@ -26,6 +27,7 @@ def sections_of(evidence: Evidence) -> list[Section]:
         hypotheses_section(evidence) if evidence.hypotheses else None,
         comparison_section(evidence, looks),
         learning_section(evidence, looks),
+        elsewhere_section(evidence),
         paper_section(evidence),
         seeds_section(evidence),
     ]

@@ -21,7 +21,11 @@ class Job:
 
 def protocol_of(config: StudyConfig) -> dict[str, Any]:
     """Everything that a study fixes, as plain values."""
-    return dataclasses.asdict(config)
+    fixed = dataclasses.asdict(config)
+    if not config.elsewhere:
+        # Studies from before there was such a field keep their digests.
+        del fixed["elsewhere"]
+    return fixed
 
 
 def protocol_sha256(protocol: dict[str, Any]) -> str:

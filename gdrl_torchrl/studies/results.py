@@ -50,13 +50,23 @@ CURVE_COLUMNS: dict[str, Kind] = {
     **dict.fromkeys(("success_rate", "success_rate_sampled"), RATE),
 }
 """One row a policy that a run has kept."""
+ELSEWHERE_COLUMNS: dict[str, Kind] = {
+    **_JOB,
+    "worlds": TEXT,
+    **dict.fromkeys(("success_rate", "success_rate_sampled"), RATE),
+    **dict.fromkeys(("collision_rate", "timeout_rate"), RATE),
+}
+"""One row for each kind of other worlds that a run's final policy was evaluated on."""
 _DIGEST = "digest"
 _WHOLE = (COUNT, SOME)
 _NUMBERS = (*_WHOLE, RATE, NUMBER, SECONDS)
 
 
 class StudyResults:
-    """The folder of a study's results: ``protocol.json``, ``runs.csv``, ``curves.csv``.
+    """The folder of a study's results: ``protocol.json`` and tables.
+
+    The tables are ``runs.csv``, ``curves.csv`` and, if there are other worlds,
+    ``elsewhere.csv``.
 
     Every row ends with a digest of its cells: one that was changed by hand is noticed.
 
@@ -118,20 +128,32 @@ class StudyResults:
         Raises:
             ValueError: If a row is damaged, or was changed by hand.
         """
-        runs = {job_of(row) for row in self.runs()}
-        # A process may have been killed between the two.
-        return [r for r in self._read("curves.csv", CURVE_COLUMNS) if job_of(r) in runs]
+        return self._of_runs("curves.csv", CURVE_COLUMNS)
+
+    def elsewhere(self) -> list[dict[str, Any]]:
+        """The rows of ``elsewhere.csv`` of runs in ``runs.csv``, in order.
+
+        Raises:
+            ValueError: If a row is damaged, or was changed by hand.
+        """
+        return self._of_runs("elsewhere.csv", ELSEWHERE_COLUMNS)
 
     def jobs(self) -> dict[Job, str]:
         """The runs that have ended, with their states."""
         return {job_of(row): row["state"] for row in self.runs()}
 
-    def add(self, run: Mapping[str, Any], curve: Sequence[Mapping[str, Any]]) -> None:
+    def add(
+        self,
+        run: Mapping[str, Any],
+        curve: Sequence[Mapping[str, Any]],
+        elsewhere: Sequence[Mapping[str, Any]] = (),
+    ) -> None:
         """Add the results of a run, unless they are there.
 
         Args:
             run: Its row, without digest.
             curve: The rows of its curve.
+            elsewhere: Its rows for other worlds.
 
         Raises:
             ValueError: If a value is not what its column must be, or a table is damaged.
@@ -142,10 +164,17 @@ class StudyResults:
             if job_of(run) in {job_of(row) for row in runs}:
                 return
             self._write("curves.csv", CURVE_COLUMNS, [*self.curves(), *curve])
+            if others := [*self.elsewhere(), *elsewhere]:
+                self._write("elsewhere.csv", ELSEWHERE_COLUMNS, others)
             self._write("runs.csv", RUN_COLUMNS, [*runs, run])
 
     def _turn(self) -> Any:
         return locked(self.folder / ".lock", wait=True)
+
+    def _of_runs(self, name: str, columns: Mapping[str, Kind]) -> list[dict[str, Any]]:
+        runs = {job_of(row) for row in self.runs()}
+        # A process may have been killed between two tables.
+        return [row for row in self._read(name, columns) if job_of(row) in runs]
 
     def _read(self, name: str, columns: Mapping[str, Kind]) -> list[dict[str, Any]]:
         path = self.folder / name
@@ -165,11 +194,11 @@ class StudyResults:
                     "cells: take the file as it was committed"
                 )
             row = _typed(cells, columns, where)
-            key = (job_of(row), row.get("point"))
+            key = _place(row)
             if key in rows:
                 raise ValueError(f"{where}: a row of this run is there already")
             rows[key] = row
-        return [rows[key] for key in sorted(rows, key=lambda k: (k[0], k[1] or 0))]
+        return [rows[key] for key in sorted(rows)]
 
     def _write(
         self, name: str, columns: Mapping[str, Kind], rows: Iterable[Mapping[str, Any]]
@@ -178,7 +207,7 @@ class StudyResults:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([*columns, _DIGEST])
-        for row in sorted(rows, key=lambda row: (job_of(row), row.get("point", 0))):
+        for row in sorted(rows, key=_place):
             for column, kind in columns.items():
                 kind.check(row[column], f"{path}: {column}")
             cells = [str(row[column]) for column in columns]
@@ -190,6 +219,11 @@ class StudyResults:
 def job_of(row: Mapping[str, Any]) -> Job:
     """The run that a row is of."""
     return Job(row["task"], row["method"], row["seed"])
+
+
+def _place(row: Mapping[str, Any]) -> tuple[Job, int, str]:
+    """Where a row stands in its table, and what no other row in it has."""
+    return job_of(row), row.get("point", 0), row.get("worlds", "")
 
 
 def row_digest(cells: Iterable[str]) -> str:

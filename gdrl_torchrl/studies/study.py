@@ -12,11 +12,13 @@ from typing import Any
 
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.study import StudyConfig
+from gdrl_torchrl.config.task import check_fits_policy, make_task_from_config
 from gdrl_torchrl.files.errors import RunInUseError
 from gdrl_torchrl.files.evaluation import read_curve, read_evaluation
 from gdrl_torchrl.files.run_table import state_of
 from gdrl_torchrl.runs.errors import TrainingDivergedError
 from gdrl_torchrl.runs.place import code_version, directory_of, provenance, run_key
+from gdrl_torchrl.studies.elsewhere import RATES, evaluate_elsewhere
 from gdrl_torchrl.studies.protocol import (
     Job,
     jobs_of,
@@ -27,6 +29,7 @@ from gdrl_torchrl.studies.protocol import (
 from gdrl_torchrl.studies.results import StudyResults
 
 _logger = logging.getLogger(__name__)
+Load = Callable[[list[str]], ExperimentConfig]
 Run = Callable[[ExperimentConfig, list[str]], Path]
 
 
@@ -40,14 +43,15 @@ class Study:
         common: Overrides of all runs that change no result, such as ``runs_dir``.
 
     Raises:
-        ValueError: If a run cannot be composed, or is one of toy size.
+        ValueError: If a run cannot be composed, is one of toy size, or could not act in
+            other worlds that it is to be evaluated on.
     """
 
     def __init__(
         self,
         config: StudyConfig,
         folder: Path,
-        load: Callable[[list[str]], ExperimentConfig],
+        load: Load,
         common: list[str] | None = None,
     ) -> None:
         self.config = config
@@ -62,6 +66,24 @@ class Study:
         self._configs = {arm: load(given) for arm, given in self._overrides.items()}
         if any(experiment.toy for experiment in self._configs.values()):
             raise ValueError("toy=true takes sizes of its own, whatever the study says")
+        self._elsewhere = {
+            arm: self._other_worlds(load, arm, config.elsewhere.get(arm[0], {}))
+            for arm in self._overrides
+        }
+
+    def _other_worlds(
+        self, load: Load, arm: tuple[str, str], worlds: dict[str, list[str]]
+    ) -> dict[str, ExperimentConfig]:
+        """The configuration of an arm with each of its other tasks, by name."""
+        trained = make_task_from_config(self._configs[arm].task)
+        found = {}
+        for name, overrides in worlds.items():
+            # Only the task is taken of it, so that nothing else can differ.
+            other = load([*self._overrides[arm], *overrides]).task
+            given = f"study.elsewhere.{arm[0]}.{name}: {' '.join(overrides)}"
+            check_fits_policy(trained, make_task_from_config(other), given)
+            found[name] = dataclasses.replace(self._configs[arm], task=other)
+        return found
 
     def missing(self) -> list[Job]:
         """Runs that have no results yet, in the order in which they are to be run."""
@@ -99,13 +121,17 @@ class Study:
             return True
         config = self.config_of(job)
         overrides = [*self._overrides[job.task, job.method], f"seed={job.seed}"]
+        worlds = self._elsewhere[job.task, job.method]
         try:
-            row, curve = _results_of(run(config, overrides))
+            path = run(config, overrides)
+            row, curve = _results_of(path)
+            others = {name: evaluate_elsewhere(path, w) for name, w in worlds.items()}
         except RunInUseError:
             return False
         except TrainingDivergedError as error:
             # A crash counts as no success at all: leaving it out would flatter a method.
             row, curve = _failure(config, error), []
+            others = dict.fromkeys(worlds, dict.fromkeys(RATES, 0.0))
         described = {
             "protocol": protocol_sha256(self.protocol)[:12],
             **dataclasses.asdict(job),
@@ -116,7 +142,9 @@ class Study:
             "packages": " ".join(f"{n} {v}" for n, v in provenance()["packages"].items()),
         }
         self.results.add(
-            described | row | made_with, [described | point for point in curve]
+            described | row | made_with,
+            [described | point for point in curve],
+            [described | {"worlds": n} | rates for n, rates in others.items()],
         )
         _logger.warning(
             "%s %s seed %d: area %.3f, success %.3f, %.0f s",

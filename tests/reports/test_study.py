@@ -129,6 +129,17 @@ def test_the_paper_is_beside_its_own_tasks_and_methods(tables):
     ]
 
 
+def test_success_in_other_worlds_is_beside_that_at_home(study, tables):
+    rows = {r["method"]: r for r in tables("elsewhere", "worlds")}
+    assert list(rows) == ["ppo", "gppo"], "the other two were evaluated nowhere else"
+    with open(study / "runs.csv", newline="") as file:
+        rows_of_ppo = [r for r in csv.DictReader(file) if r["method"] == "ppo"]
+    home = [float(row["success_rate"]) for row in rows_of_ppo]
+    assert rows["ppo"]["worst"] == "0.000", "of the run that failed"
+    assert rows["ppo"]["success"].startswith(f"{0.75 * np.mean(home):.3f}")
+    assert rows["ppo"]["difference"] == f"{-0.25 * np.mean(home):.3f}"
+
+
 def test_times_to_a_threshold_count_a_crash_as_never(study, tables):
     rows = {r["method"]: r for r in tables("learning", "reached 0.8")}
     with open(study / "curves.csv", newline="") as file:

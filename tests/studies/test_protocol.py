@@ -22,6 +22,7 @@ def test_every_method_is_run_with_every_seed_and_early_results_are_of_all():
         {"episodes": 4},
         {"alpha": 0.1},
         {"hypotheses": []},
+        {"elsewhere": {"easy": {"rough": ["task.sea=rough"]}}},
         {"total_steps": {"easy": 401}},
         {
             "methods": {"ppo": StudyMethod(["easy"], ["experiment=ppo_water"])},
@@ -53,6 +54,8 @@ def test_whatever_changes_makes_it_another_protocol(changed):
             "h.against='pop' must be",
         ),
         ({"hypotheses": [Hypothesis("h", "far", "gppo", "ppo")]}, "h.task='far' must be"),
+        ({"elsewhere": {"far": {}}}, r"study\.elsewhere='far' must be one of"),
+        ({"elsewhere": {"easy": {"a/b": []}}}, r"elsewhere\.easy='a/b' must be a folder's"),
     ],
 )
 def test_what_cannot_be_run_or_tested_is_refused(changed, told):

@@ -7,7 +7,12 @@ import re
 import pytest
 
 from gdrl_torchrl.studies.protocol import Job, protocol_of
-from gdrl_torchrl.studies.results import CURVE_COLUMNS, RUN_COLUMNS, StudyResults
+from gdrl_torchrl.studies.results import (
+    CURVE_COLUMNS,
+    ELSEWHERE_COLUMNS,
+    RUN_COLUMNS,
+    StudyResults,
+)
 from tests.small import toy_study
 
 JOB = {"protocol": "0" * 12, "task": "easy", "method": "ppo", "seed": 3}
@@ -29,6 +34,10 @@ def curve_row(point, **cells):
     return {**dict.fromkeys(CURVE_COLUMNS, 0), **JOB, "point": point, **cells}
 
 
+def elsewhere_row(worlds, **cells):
+    return {**dict.fromkeys(ELSEWHERE_COLUMNS, 0), **JOB, "worlds": worlds, **cells}
+
+
 @pytest.fixture
 def results(tmp_path):
     results = StudyResults(tmp_path / "toy")
@@ -38,12 +47,21 @@ def results(tmp_path):
 
 def test_rows_come_back_as_they_were_and_in_order(results):
     later = run_row(seed=4, success_rate=1 / 3, error='a, "b"')
-    results.add(later, [curve_row(2, seed=4), curve_row(1, seed=4, success_rate=0.1)])
+    results.add(
+        later,
+        [curve_row(2, seed=4), curve_row(1, seed=4, success_rate=0.1)],
+        [elsewhere_row("rough", seed=4), elsewhere_row("far", seed=4, timeout_rate=0.3)],
+    )
     results.add(run_row(return_mean=float("nan")), [curve_row(1)])
     first, second = results.runs()
     assert second == later
     assert first["return_mean"] != first["return_mean"]
     assert [(r["seed"], r["point"]) for r in results.curves()] == [(3, 1), (4, 1), (4, 2)]
+    assert [(r["seed"], r["worlds"]) for r in results.elsewhere()] == [
+        (4, "far"),
+        (4, "rough"),
+    ]
+    assert results.elsewhere()[0]["timeout_rate"] == 0.3
     assert results.jobs() == {Job("easy", "ppo", 3): "done", Job("easy", "ppo", 4): "done"}
 
 
@@ -71,19 +89,23 @@ def test_a_curve_without_its_run_does_not_count_and_is_replaced(results, monkeyp
     assert [row["success_rate"] for row in results.curves()] == [0.5]
 
 
-@pytest.mark.parametrize("name", ["runs.csv", "curves.csv"])
+@pytest.mark.parametrize("name", ["runs.csv", "curves.csv", "elsewhere.csv"])
 @pytest.mark.parametrize(
     ("old", "new"), [(",0.5,", ",0.75,"), ("ppo", "ppp"), ("\n$", ""), (",", ";")]
 )
 def test_a_row_that_was_changed_by_hand_is_noticed(results, name, old, new):
-    results.add(run_row(success_rate=0.5), [curve_row(1, success_rate=0.5)])
+    results.add(
+        run_row(success_rate=0.5),
+        [curve_row(1, success_rate=0.5)],
+        [elsewhere_row("far", success_rate=0.5)],
+    )
     path = results.folder / name
     header, row = path.read_text().split("\n", 1)
     changed = re.sub(old, new, row, count=1) if old != "\n$" else row[:-5]
     assert changed != row
     path.write_text(f"{header}\n{changed}")
     with pytest.raises(ValueError, match=rf"{name}, line 2 was changed or cut off"):
-        results.runs(), results.curves()
+        results.runs(), results.curves(), results.elsewhere()
     with pytest.raises(ValueError, match="changed"):
         results.add(run_row(seed=9), [])
     assert path.read_text() == f"{header}\n{changed}", "what is damaged is left as it is"

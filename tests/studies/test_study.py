@@ -8,22 +8,28 @@ import signal
 import pytest
 
 from gdrl_torchrl.agents.update import NonFiniteUpdateError
+from gdrl_torchrl.cli.evaluate import evaluate_run
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.files.errors import RunDirectoryError
 from gdrl_torchrl.files.evaluation import read_curve, read_evaluation
 from gdrl_torchrl.runs.errors import InterruptedRunError, TrainingDivergedError
 from gdrl_torchrl.runs.place import directory_of
 from gdrl_torchrl.runs.run import run_experiment
+from gdrl_torchrl.studies.results import job_of
 from gdrl_torchrl.studies.study import Study
 from tests.small import compose, toy_study
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
 
+ELSEWHERE = {
+    "easy": {"farther": ["task.goal_distance_m=[2,4]"], "wild": ["task.sea=rough"]}
+}
+
+
 def study_of(folder, load=compose, **options):
-    return Study(
-        toy_study(**options), folder / "results", load, [f"runs_dir={folder / 'runs'}"]
-    )
+    config = toy_study(**{"elsewhere": ELSEWHERE, **options})
+    return Study(config, folder / "results", load, [f"runs_dir={folder / 'runs'}"])
 
 
 def without_time(rows):
@@ -59,6 +65,24 @@ def test_results_are_those_of_the_runs(undisturbed):
         assert row["total_steps"] >= 100 * row["point"], "kept once its mark is reached"
 
 
+def test_final_policies_are_evaluated_in_other_worlds_as_by_the_command(undisturbed):
+    rows = undisturbed.results.elsewhere()
+    assert len(rows) == 4 * 2
+    for row in rows:
+        job = next(job for job in undisturbed.jobs if job == job_of(row))
+        run = directory_of(undisturbed.config_of(job)).path
+        (override,) = ELSEWHERE["easy"][row["worlds"]]
+        told = evaluate_run([f"run={run}", override])
+        names = ("success_rate", "success_rate_sampled", "collision_rate", "timeout_rate")
+        assert {n: row[n] for n in names} == {n: told[n] for n in names}
+
+
+def test_a_policy_that_could_not_act_elsewhere_is_refused_before_anything_is_run(tmp_path):
+    given = {"easy": {"seeing": ["task.extra_observations=[velocity]"]}}
+    with pytest.raises(ValueError, match=r"elsewhere\.easy\.seeing: .* was trained with"):
+        study_of(tmp_path, elsewhere=given)
+
+
 @pytest.mark.full
 def test_a_study_that_was_interrupted_twice_ends_as_an_undisturbed_one(
     undisturbed, tmp_path
@@ -76,6 +100,7 @@ def test_a_study_that_was_interrupted_twice_ends_as_an_undisturbed_one(
     mine, other = study.results, undisturbed.results
     assert without_time(mine.runs()) == without_time(other.runs())
     assert without_time(mine.curves()) == without_time(other.curves())
+    assert mine.elsewhere() == other.elsewhere()
     assert mine.protocol() == other.protocol()
     # Once more: nothing is left to be done.
     assert study_of(tmp_path).work(interrupted) == []
@@ -144,6 +169,8 @@ def test_a_run_that_diverges_counts_as_no_success_and_an_error_of_the_machine_do
     rows = study.results.runs()
     assert {row["state"] for row in rows} == {"failed"}
     assert {row["area"] for row in rows} == {0.0}
+    assert {row["success_rate"] for row in study.results.elsewhere()} == {0.0}
+    assert len(study.results.elsewhere()) == 4 * 2
     assert all("loss" in row["error"] for row in rows)
 
 
