@@ -9,17 +9,23 @@ from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
 _OPTIONS = {
     "study": "Report on a study: on the folder of this name in results=, and nothing else.",
     "runs": "Report on all runs below a folder instead, whatever they are.",
+    "fill": "Fill in the figures of studies that are marked in a file of Markdown, or in "
+    "all below a folder, instead: docs/reports.md says how.",
     "results": "Folder of the results of studies; results if it is not given.",
     "out": "Folder of the report; that of the study's results, or report in that of the "
     "runs, if it is not given.",
 }
 _PARSER = CommandParser(
     "gdrl-report",
-    "study=<name>|runs=<folder> [results=<folder>] [out=<folder>]",
+    "study=<name>|runs=<folder>|fill=<path> [results=<folder>] [out=<folder>]",
     "Compare methods over seeds: a page for the browser (report.html), the same as "
     "Markdown (report.md), its figures (figures/*.svg). The last line printed is the page.",
     [("arguments", [(f"{name}=<...>", meaning) for name, meaning in _OPTIONS.items()])],
-    ["gdrl-report study=pilot", "gdrl-report runs=runs/trials out=/tmp/trials"],
+    [
+        "gdrl-report study=pilot",
+        "gdrl-report runs=runs/trials out=/tmp/trials",
+        "gdrl-report fill=docs",
+    ],
 )
 
 
@@ -42,11 +48,13 @@ def values_in(arguments: list[str]) -> dict[str, str]:
         if name in values:
             raise ValueError(f"{argument} must be given once")
         values[name] = value
-    if ("study" in values) == ("runs" in values):
+    asked = [name for name in ("study", "runs", "fill") if name in values]
+    if len(asked) != 1:
         given = " ".join(arguments) or "nothing"
-        raise ValueError(f"{given}: either study=<name> or runs=<folder> must be given")
-    if "runs" in values and "results" in values:
-        raise ValueError(f"results={values['results']} must not be given beside runs=")
+        raise ValueError(f"{given}: one of study=, runs= and fill= must be given")
+    for other, name in (("runs", "results"), ("fill", "out")):
+        if other in values and name in values:
+            raise ValueError(f"{name}={values[name]} must not be given beside {other}=")
     return values
 
 
@@ -80,7 +88,15 @@ def report(values: dict[str, str]) -> Path:
 def main() -> None:
     """Entry point of ``gdrl-report``."""
     try:
-        print(report(values_in(_PARSER.parse_args().arguments)))
+        values = values_in(_PARSER.parse_args().arguments)
+        if "fill" not in values:
+            print(report(values))
+            return
+        from gdrl_torchrl.reports.fill import fill_files
+
+        results = Path(values.get("results", "results"))
+        for path in fill_files(Path(values["fill"]), results):
+            print(path)
     except (ValueError, OSError) as error:
         fail(error)
 

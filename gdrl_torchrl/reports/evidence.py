@@ -144,6 +144,11 @@ class Evidence:
         """Methods in the order of the arms."""
         return tuple(dict.fromkeys(arm.method for arm in self.arms))
 
+    def on(self, task: str) -> Evidence:
+        """The runs on one task, without hypotheses: these are tested all together."""
+        arms = tuple(arm for arm in self.arms if arm.task == task)
+        return dataclasses.replace(self, arms=arms, hypotheses=())
+
     def of_task(self, task: str) -> tuple[Arm, ...]:
         """The arms of a task that have runs."""
         return tuple(arm for arm in self.arms if arm.task == task and arm.runs)

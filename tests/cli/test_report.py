@@ -14,18 +14,19 @@ from tests.reports.invented import write_study
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "nothing: either study=<name> or runs=<folder> must be given"),
+        ([], "nothing: one of study=, runs= and fill= must be given"),
         (
             ["study=a", "runs=b"],
-            "study=a runs=b: either study=<name> or runs=<folder> must",
+            "study=a runs=b: one of study=, runs= and fill= must",
         ),
         (
             ["studies=a"],
-            "studies=a must be one of study=..., runs=..., results=..., out=...",
+            "studies=a must be one of study=..., runs=..., fill=..., results=..., out=...",
         ),
-        (["study="], "study= must be one of study=..., runs=..., results=..., out=..."),
+        (["study="], "study= must be one of study=..., runs=..., fill=..., results=..."),
         (["study=a", "study=b"], "study=b must be given once"),
         (["runs=a", "results=b"], "results=b must not be given beside runs="),
+        (["fill=a", "out=b"], "out=b must not be given beside fill="),
     ],
 )
 def test_a_mistake_is_named(arguments, said):

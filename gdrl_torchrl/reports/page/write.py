@@ -34,7 +34,7 @@ def write_pages(folder: Path, title: str, sections: Sequence[Section]) -> Path:
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
     )
-    pages.filters["plain"] = plain
+    pages.filters |= {"plain": plain, "table": lambda t: markdown_table(t.columns, t.rows)}
     own_folder(folder / "figures")
     for panel in panels_of(sections):
         _write(folder / "figures" / f"{panel.name}.svg", panel.svg + "\n")
@@ -58,6 +58,20 @@ def plain(text: str) -> str:
         'water\\_near \\| 3 \\< 4'
     """
     return _SPECIAL.sub(r"\\\1", " ".join(text.split()))
+
+
+def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown.
+
+    Examples:
+        >>> print(markdown_table(("task", "runs"), [("near", "10")]))
+        | task | runs |
+        |---|---|
+        | near | 10 |
+    """
+    lines = [" | ".join(map(plain, cells)) for cells in (columns, *rows)]
+    head, *body = [f"| {line} |" for line in lines]
+    return "\n".join([head, "|" + "---|" * len(columns), *body])
 
 
 def _write(path: Path, text: str) -> None:

@@ -10,23 +10,26 @@ from gdrl_torchrl.reports.statistics.bootstrap import estimate
 
 
 def elsewhere_section(evidence: Evidence) -> Section | None:
-    """A row for each method and kind of worlds; None if no run was evaluated elsewhere."""
+    """The table; None if no run was evaluated elsewhere."""
+    table = elsewhere_table(evidence)
+    return Section("elsewhere", "In other worlds", (table,)) if table.rows else None
+
+
+def elsewhere_table(evidence: Evidence) -> Table:
+    """A row for each method and kind of worlds."""
     rows = [
         (task, worlds, arm.method, *_cells(arm, worlds))
         for task in evidence.tasks
         for worlds in _worlds(evidence.of_task(task))
         for arm in evidence.of_task(task)
     ]
-    if not rows:
-        return None
-    table = Table(
+    return Table(
         "Greedy success of final policies in worlds that no run was trained for: mean over "
         "runs with its 95 % interval, worst run, and the mean difference to the held-out "
         "worlds of the task itself",
         ("task", "worlds", "method", "runs", "success", "worst", "difference"),
         rows,
     )
-    return Section("elsewhere", "In other worlds", (table,))
 
 
 def _worlds(arms: tuple[Arm, ...]) -> list[str]:

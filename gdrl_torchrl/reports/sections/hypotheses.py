@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 from gdrl_torchrl.reports.evidence import Evidence, Hypothesis
@@ -68,6 +69,7 @@ class Outcome:
         return text if self.is_whole else f"preliminary, runs are missing: {text}"
 
 
+@functools.cache
 def outcomes(evidence: Evidence) -> list[Outcome]:
     """All registered hypotheses with their tests."""
     found = []
@@ -109,11 +111,10 @@ def outcomes(evidence: Evidence) -> list[Outcome]:
     ]
 
 
-def hypotheses_section(evidence: Evidence) -> Section:
-    """Differences, tests and decisions; and what these runs could have shown."""
-    results = outcomes(evidence)
+def hypotheses_table(evidence: Evidence) -> Table:
+    """Differences, tests and decisions."""
     name = evidence.words.score_name
-    tests = Table(
+    return Table(
         f"Registered hypotheses: difference of mean {name} with its 95 % interval (Welch), "
         "p of Welch's and of the permutation test, and both after Holm's adjustment",
         (
@@ -137,10 +138,13 @@ def hypotheses_section(evidence: Evidence) -> Section:
                 p_value(one.permutation_holm),
                 one.decision,
             )
-            for one in results
+            for one in outcomes(evidence)
         ],
     )
-    power = Table(
+
+
+def _power_table(evidence: Evidence) -> Table:
+    return Table(
         "What these runs could show: the difference that Welch's test would find with "
         f"probability 0.8, with this scatter, at {evidence.alpha:g} over the number of "
         "hypotheses",
@@ -152,15 +156,20 @@ def hypotheses_section(evidence: Evidence) -> Section:
                 number(one.detectable),
                 number(one.hypothesis.least_difference),
             )
-            for one in results
+            for one in outcomes(evidence)
         ],
     )
+
+
+def hypotheses_section(evidence: Evidence) -> Section:
+    """What came of them, and what these runs could have shown."""
     rule = Text(
         "A hypothesis is supported if Welch's test rejects equal means at the level "
         f"{evidence.alpha:g} after Holm's adjustment for all hypotheses in this table, and "
         "the difference is at least the one that would matter."
     )
-    return Section("hypotheses", "Registered hypotheses", (rule, tests, power))
+    tables = (hypotheses_table(evidence), _power_table(evidence))
+    return Section("hypotheses", "Registered hypotheses", (rule, *tables))
 
 
 def _said(hypothesis: Hypothesis) -> str:

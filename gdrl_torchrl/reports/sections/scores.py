@@ -21,11 +21,10 @@ from gdrl_torchrl.reports.statistics.averages import interquartile_mean, worst_q
 from gdrl_torchrl.reports.statistics.bootstrap import estimate
 
 
-def scores_section(evidence: Evidence, looks: Looks) -> Section:
-    """The main table, and every run as a dot."""
+def reached_table(evidence: Evidence) -> Table:
+    """The main table: a row for each method on each task."""
     name = evidence.words.score_name
-    arms = [arm for task in evidence.tasks for arm in evidence.of_task(task)]
-    reached = Table(
+    return Table(
         f"Interquartile mean (IQM) of {evidence.words.score}, with its 95 % interval; mean "
         "of the worst quarter of the runs; final success over held-out worlds",
         (
@@ -47,10 +46,14 @@ def scores_section(evidence: Evidence, looks: Looks) -> Section:
                 number(arm.mean("success_rate")),
                 number(arm.mean("success_rate_sampled")),
             )
-            for arm in arms
+            for arm in _arms(evidence)
         ],
     )
-    costs = Table(
+
+
+def costs_table(evidence: Evidence) -> Table:
+    """What runs have cost: a row for each method on each task."""
+    return Table(
         "What a run that ended has cost, means",
         (
             "task",
@@ -71,9 +74,14 @@ def scores_section(evidence: Evidence, looks: Looks) -> Section:
                 count(arm.mean("wall_s")),
                 _switches(arm),
             )
-            for arm in arms
+            for arm in _arms(evidence)
         ],
     )
+
+
+def scores_section(evidence: Evidence, looks: Looks) -> Section:
+    """The main tables, and every run as a dot."""
+    name = evidence.words.score_name
     panels = tuple(
         scores_panel(f"scores-{k}", evidence.of_task(task), looks, f"{name} on {task}")
         for k, task in enumerate(evidence.tasks)
@@ -85,7 +93,12 @@ def scores_section(evidence: Evidence, looks: Looks) -> Section:
         panels,
         evidence.sources,
     )
-    return Section("scores", "What was reached", (reached, costs, Text(_known()), figure))
+    tables = (reached_table(evidence), costs_table(evidence))
+    return Section("scores", "What was reached", (*tables, Text(_known()), figure))
+
+
+def _arms(evidence: Evidence) -> list[Arm]:
+    return [arm for task in evidence.tasks for arm in evidence.of_task(task)]
 
 
 def _ratio(arm: Arm, part: str, whole: str) -> float:
