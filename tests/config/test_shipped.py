@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import csv
 import dataclasses
 import inspect
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
 from gdrl_tasks import make_task, task_names
 from gdrl_torchrl.agents.networks import make_tanh_normal_actor, make_value_network
 from gdrl_torchrl.agents.registry import ALGORITHMS
+from gdrl_torchrl.cli.search import load_search
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.task import make_task_from_config, task_config_class
@@ -25,6 +29,7 @@ from gdrl_torchrl.evolution.settings import EvolutionConfig
 from gdrl_torchrl.runs.build import build_training
 from tests.small import compose
 
+ROOT = Path(__file__).parents[2]
 CONF = resources.files("gdrl_torchrl.conf")
 REGIMES = {"little_data": "ppo_water", "unstable": "rainbow_indoor"}
 """Experiments that they are for."""
@@ -134,6 +139,32 @@ def test_the_regimes_are_those_of_their_descriptions():
     assert sizes == (1, 256, 64)
     fast = load_experiment(["experiment=rainbow_indoor", "+regime=unstable"]).algorithm
     assert (fast.learning_rate, fast.target_tau) == (3e-3, 0.05)
+
+
+def best_trial(name):
+    """Options of the best of a search's trials that had the largest budget."""
+    with open(ROOT / "results" / "tuning" / f"{name}_trials.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    largest = max(int(row["total_steps"]) for row in rows)
+    last = [row for row in rows if int(row["total_steps"]) == largest]
+    best = max(last, key=lambda row: float(row["success_rate"]))
+    pairs = [option.split("=") for option in best["overrides"].split()]
+    return {name: ast.literal_eval(text) for name, text in pairs}
+
+
+@pytest.mark.parametrize("name", options_of("tuned"))
+def test_what_is_tuned_is_the_best_that_the_search_for_an_experiment_has_tried(name):
+    before = compose(load_search([f"+search={name}"]).overrides)
+    tuned = load_experiment([f"experiment={name}", f"+tuned={name}"])
+    for option, value in best_trial(name).items():
+        group, field = option.split(".")
+        part, its = getattr(tuned, group), getattr(before, group)
+        rounded = pytest.approx(value, rel=0.05) if isinstance(value, float) else value
+        assert getattr(part, field) == rounded, option
+        # What was not searched for is as it was in the search.
+        part = dataclasses.replace(part, **{field: getattr(its, field)})
+        tuned = dataclasses.replace(tuned, **{group: part})
+    assert tuned == before
 
 
 @pytest.mark.parametrize(

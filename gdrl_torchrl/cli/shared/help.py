@@ -37,6 +37,7 @@ def help_of_training(arguments: Sequence[str]) -> str:
         *_choices("evolution", "evolution=<name>: the population beside the agent"),
         *_choices("network", "network=<name>"),
         *_choices("regime", "+regime=<name>: settings under which learning is hard"),
+        *_choices("tuned", "+tuned=<name>: what a search has found for an experiment"),
         *_choices("sweep", "-m +sweep=<name>: many runs that answer a question"),
         ("options, with what they are unless an experiment says otherwise", _common()),
         ("more options, by choice of a group", _more()),
