@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         CopiesContest,
         FullContest,
         PairedContest,
+        RandomContest,
     )
     from gdrl_torchrl.evolution.hooks.erl import ErlHook
     from gdrl_torchrl.evolution.hooks.genetic import GeneticHook
@@ -81,6 +82,7 @@ _WHERE = {
         "CopiesContest",
         "FullContest",
         "PairedContest",
+        "RandomContest",
     ),
     "evolution.hooks.erl": ("ErlHook",),
     "evolution.hooks.genetic": ("GeneticHook",),
@@ -132,6 +134,7 @@ __all__ = [
     "PairedContest",
     "PopulationEvaluator",
     "RainbowLoss",
+    "RandomContest",
     "bernoulli_mutation",
     "concatenate",
     "genome_of",

@@ -75,10 +75,10 @@ class EvolutionConfig:
     """Last training episodes that success is measured over."""
     fitness: str = among("goals", _GOALS_OR_RETURN)
     """What members are scored by: ``goals`` that they reach, or the mean ``return``."""
-    contest: str = among("full", ("full", "paired", "copies"))
+    contest: str = among("full", ("full", "paired", "copies", "random"))
     """``full``: all over the same episodes, the best wins; ``paired``: a child must win
     a test against the agent; ``copies``: none, the agent alone plays as many episodes as
-    its population would, and stays."""
+    its population would, and stays; ``random``: all play, and one of them is drawn."""
     screening_trials: int = within(3, least=1, most=_MOST_TRIALS)
     """With ``contest=paired``: episodes of a round, after which half the children go."""
     test_trials: int = within(10, least=1, most=_MOST_TRIALS)

@@ -20,6 +20,7 @@ SYSTEMS = {
     "n_point_indoor": "n_point_rainbow",
     "paired_water": "paired_ppo",
     "control_experience_indoor": "control_experience_rainbow",
+    "control_random_indoor": "control_random_rainbow",
     "control_selection_water": "control_selection_ppo",
 }
 """Each way to evolve once; beside them ``make test-full`` kills every experiment."""

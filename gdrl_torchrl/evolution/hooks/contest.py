@@ -139,6 +139,23 @@ class PairedContest:
         return PARENT
 
 
+class RandomContest:
+    """All members play, and one of them is drawn: mutation at its full cost, unselected.
+
+    Members whose policies give no numbers are never drawn; without any other the agent
+    stays.
+    """
+
+    def __call__(self, match: Match) -> Verdict:
+        """Draw a member, each with the same probability."""
+        scores, transitions = match.play(match.population)
+        whole = (~torch.isnan(scores[keys.FITNESS])).nonzero()[:, 0]
+        drawn = PARENT
+        if len(whole):
+            drawn = int(whole[torch.randint(len(whole), (), generator=match.generator)])
+        return Verdict(scores, drawn, transitions)
+
+
 class CopiesContest:
     """No contest: copies of the agent play as much as a population would.
 
@@ -234,6 +251,8 @@ def contest_of(settings: EvolutionConfig) -> Contest:
         return FullContest(settings.tie_rule)
     if settings.contest == "copies":
         return CopiesContest()
+    if settings.contest == "random":
+        return RandomContest()
     return PairedContest(
         HalvingPlan(
             screening_trials=settings.screening_trials,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from scipy import stats
 from tensordict import TensorDict
 
 from gdrl_torchrl import keys
@@ -12,6 +13,7 @@ from gdrl_torchrl.evolution.hooks.contest import (
     FullContest,
     Match,
     PairedContest,
+    RandomContest,
 )
 from gdrl_torchrl.evolution.operators.paired import HalvingPlan
 from tests.marks import full_but
@@ -169,6 +171,29 @@ def test_copies_play_as_much_as_a_population_over_episodes_of_their_own():
     assert (verdict.scores[keys.FITNESS] < 10).all()
     rate = verdict.scores[keys.SUCCESS_RATE]
     assert torch.equal(verdict.scores[keys.FITNESS], 10 * rate)
+
+
+def test_a_member_is_drawn_whatever_it_reached_and_each_as_often():
+    evaluator = CoinEvaluator(1.0, 0.0, 0.5)
+    match = Match(evaluator, evaluator.population(), torch.Generator().manual_seed(0))
+    verdicts = [RandomContest()(match) for _ in range(300)]
+    counts = torch.bincount(torch.tensor([one.winner for one in verdicts]), minlength=3)
+    assert stats.chisquare(counts.numpy()).pvalue > 0.001
+    # What it costs, and what is told of it, is that of a full contest.
+    full = CoinEvaluator(1.0, 0.0, 0.5)
+    other = FullContest()(Match(full, full.population(), torch.Generator()))
+    assert set(verdicts[0].scores.keys()) == set(other.scores.keys())
+    assert verdicts[0].scores[keys.FRAMES].tolist() == other.scores[keys.FRAMES].tolist()
+
+
+def test_a_member_without_numbers_is_never_drawn():
+    nan = float("nan")
+    evaluator = CoinEvaluator(nan, 0.0, nan)
+    match = Match(evaluator, evaluator.population(), torch.Generator().manual_seed(0))
+    assert {RandomContest()(match).winner for _ in range(20)} == {1}
+    broken = CoinEvaluator(nan, nan)
+    none = Match(broken, broken.population(), torch.Generator())
+    assert RandomContest()(none).winner == 0, "the agent stays"
 
 
 def test_copies_of_a_broken_agent_have_no_fitness_and_functions_are_refused():
