@@ -12,6 +12,8 @@ class Preset:
     name: str
     experiment: str
     """The experiment of the bare agent."""
+    tuned: str
+    """What a search has found for it."""
     choices: tuple[str, ...]
     """What makes the preset, as on the command line."""
     total_steps: int
@@ -20,7 +22,7 @@ class Preset:
     @property
     def overrides(self) -> list[str]:
         """The whole of it, as on the command line."""
-        return [f"experiment={self.experiment}", *self.choices]
+        return [f"experiment={self.experiment}", self.tuned, *self.choices]
 
     def command(self, seeds: int) -> str:
         """The command that trains its bare agent with seeds 0 to ``seeds`` - 1.
@@ -38,26 +40,31 @@ class Preset:
         return " ".join(["gdrl-train -m", *self.overrides, *options])
 
 
+WATER = ("ppo_water", "+tuned=ppo_water")
+INDOOR = ("rainbow_indoor", "+tuned=rainbow_indoor")
+
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("water_calm", "ppo_water", ("task=water_calm",), 60_000),
-        Preset("water_near", "ppo_water", ("task=water_near",), 60_000),
-        Preset("water_precise", "ppo_water", ("task=water_precise",), 150_000),
-        Preset("water_linear", "ppo_water", ("task=water_linear",), 150_000),
-        Preset("water_far_current", "ppo_water", ("task=water_far_current",), 300_000),
-        Preset("indoor_paper", "rainbow_indoor", ("task=indoor_paper",), 100_000),
-        Preset("indoor_scatter", "rainbow_indoor", ("task=indoor_scatter",), 100_000),
-        Preset("indoor_corridor", "rainbow_indoor", ("task=indoor_corridor",), 300_000),
-        Preset("indoor_trap", "rainbow_indoor", ("task=indoor_trap",), 300_000),
+        Preset("water_calm", *WATER, ("task=water_calm",), 90_000),
+        Preset("water_near", *WATER, ("task=water_near",), 60_000),
+        Preset("water_precise", *WATER, ("task=water_precise",), 120_000),
+        Preset("water_linear", *WATER, ("task=water_linear",), 150_000),
+        Preset("water_far_current", *WATER, ("task=water_far_current",), 300_000),
+        Preset("indoor_paper", *INDOOR, ("task=indoor_paper",), 100_000),
+        Preset("indoor_scatter", *INDOOR, ("task=indoor_scatter",), 100_000),
+        Preset("indoor_corridor", *INDOOR, ("task=indoor_corridor",), 300_000),
+        Preset("indoor_trap", *INDOOR, ("task=indoor_trap",), 300_000),
         Preset(
-            "little_data",
-            "ppo_water",
+            *("little_data", *WATER),
             ("task=water_precise", "+regime=little_data"),
             150_000,
         ),
         Preset(
-            "unstable", "rainbow_indoor", ("task=indoor_paper", "+regime=unstable"), 100_000
+            *("one_world", *INDOOR), ("task=indoor_paper", "+regime=one_world"), 100_000
+        ),
+        Preset(
+            *("unstable", *INDOOR), ("task=indoor_paper", "+regime=unstable"), 100_000
         ),
     )
 }

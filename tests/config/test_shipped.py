@@ -31,9 +31,14 @@ from tests.small import compose
 
 ROOT = Path(__file__).parents[2]
 CONF = resources.files("gdrl_torchrl.conf")
-REGIMES = {"little_data": "ppo_water", "unstable": "rainbow_indoor"}
+REGIMES = {
+    "little_data": "ppo_water",
+    "one_world": "rainbow_indoor",
+    "unstable": "rainbow_indoor",
+}
 """Experiments that they are for."""
 GROUPS = ("task", "algorithm", "network", "evolution")
+SEARCHED = ("algorithm", "network", "evolution")
 PARTS = (*GROUPS, "budget", "evaluation", "checkpoint", "logger", "simulation")
 
 
@@ -141,30 +146,55 @@ def test_the_regimes_are_those_of_their_descriptions():
     assert (fast.learning_rate, fast.target_tau) == (3e-3, 0.05)
 
 
-def best_trial(name):
-    """Options of the best of a search's trials that had the largest budget."""
+def good_trials(name):
+    """Options of trials with a search's largest budget that are within 0.01 of the best."""
     with open(ROOT / "results" / "tuning" / f"{name}_trials.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     largest = max(int(row["total_steps"]) for row in rows)
     last = [row for row in rows if int(row["total_steps"]) == largest]
-    best = max(last, key=lambda row: float(row["success_rate"]))
-    pairs = [option.split("=") for option in best["overrides"].split()]
-    return {name: ast.literal_eval(text) for name, text in pairs}
+    best = max(float(row["success_rate"]) for row in last)
+    for row in last:
+        if float(row["success_rate"]) >= best - 0.01:
+            pairs = [option.split("=") for option in row["overrides"].split()]
+            yield {name: ast.literal_eval(text) for name, text in pairs}
+
+
+def with_trial(config, trial):
+    """A configuration with the options of a trial."""
+    for option, value in trial.items():
+        group, field = option.split(".")
+        part = dataclasses.replace(getattr(config, group), **{field: value})
+        config = dataclasses.replace(config, **{group: part})
+    return config
+
+
+def numbers_in(config):
+    return {
+        f"{group}.{name}": value
+        for group in SEARCHED
+        for name, value in dataclasses.asdict(getattr(config, group)).items()
+    }
 
 
 @pytest.mark.parametrize("name", options_of("tuned"))
-def test_what_is_tuned_is_the_best_that_the_search_for_an_experiment_has_tried(name):
+def test_what_is_tuned_is_one_of_the_best_that_the_search_has_tried(name):
     before = compose(load_search([f"+search={name}"]).overrides)
     tuned = load_experiment([f"experiment={name}", f"+tuned={name}"])
-    for option, value in best_trial(name).items():
-        group, field = option.split(".")
-        part, its = getattr(tuned, group), getattr(before, group)
-        rounded = pytest.approx(value, rel=0.05) if isinstance(value, float) else value
-        assert getattr(part, field) == rounded, option
-        # What was not searched for is as it was in the search.
-        part = dataclasses.replace(part, **{field: getattr(its, field)})
-        tuned = dataclasses.replace(tuned, **{group: part})
-    assert tuned == before
+    found = numbers_in(tuned)
+
+    def is_it(trial):
+        """But for the digits of its numbers."""
+        return all(
+            found[option] == (pytest.approx(x, rel=0.05) if type(x) is float else x)
+            for option, x in numbers_in(with_trial(before, trial)).items()
+        )
+
+    trials = list(good_trials(name))
+    assert any(map(is_it, trials)), trials
+    rest = {
+        group: getattr(before, group) for group in ("algorithm", "network", "evolution")
+    }
+    assert dataclasses.replace(tuned, **rest) == before, "nothing else is changed"
 
 
 @pytest.mark.parametrize(
