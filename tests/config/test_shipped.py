@@ -107,6 +107,7 @@ def test_every_file_of_a_group_composes_to_a_typed_configuration(group, option):
             "progress_weight": 0.0,
         },
         "indoor_paper": {},
+        "indoor_sparse": {"arena": "paper", "progress_weight": 0.0},
         "indoor_scatter": {"arena": "scatter", "progress_weight": 10.0},
         "indoor_corridor": {"arena": "corridor", "step_limit": 1000},
         "indoor_trap": {"arena": "trap", "goal_tolerance_m": 0.05, "step_limit": 500},
@@ -191,9 +192,8 @@ def test_what_is_tuned_is_one_of_the_best_that_the_search_has_tried(name):
 
     trials = list(good_trials(name))
     assert any(map(is_it, trials)), trials
-    rest = {
-        group: getattr(before, group) for group in ("algorithm", "network", "evolution")
-    }
+    # The task that it was searched for on is given beside it.
+    rest = {group: getattr(before, group) for group in (*SEARCHED, "task")}
     assert dataclasses.replace(tuned, **rest) == before, "nothing else is changed"
 
 

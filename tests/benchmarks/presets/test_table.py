@@ -94,7 +94,7 @@ def test_what_is_measured_again_takes_the_place_of_what_was(tmp_path):
 def test_a_command_trains_a_bare_agent_where_its_runs_are_looked_for(preset):
     command, many, *overrides, seeds = shlex.split(preset.command(4))
     config = load_experiment(overrides)
-    assert (command, many, seeds) == ("gdrl-train", "-m", "seed=range(0,4)")
+    assert (command, many, seeds) == ("gdrl-train", "-m", "seed=range(200,204)")
     assert not config.evolution.enabled
     assert config.name == f"certify_{preset.name}"
     assert config.budget.agent_steps is None
@@ -148,7 +148,8 @@ def test_runs_become_a_mean_and_a_deviation_over_seeds(trained):
     assert (mean.seeds, mean.success) == ("1 2 3", "0.7000 0.4000 0.1000")
     assert (mean.episodes, mean.total_steps) == ("500", "9")
     assert mean.settings == (
-        "experiment=rainbow_indoor task=indoor_trap budget.total_steps=9"
+        "experiment=rainbow_indoor +tuned=rainbow_indoor task=indoor_trap "
+        "budget.total_steps=9"
     )
     assert rows_of_runs(PRESETS["water_near"], trained({}), "abc") == []
 
