@@ -109,6 +109,7 @@ def test_every_file_of_a_group_composes_to_a_typed_configuration(group, option):
         "indoor_paper": {},
         "indoor_sparse": {"arena": "paper", "progress_weight": 0.0},
         "indoor_scatter": {"arena": "scatter", "progress_weight": 10.0},
+        "indoor_scatter_sparse": {"arena": "scatter", "progress_weight": 0.0},
         "indoor_corridor": {"arena": "corridor", "step_limit": 1000},
         "indoor_trap": {"arena": "trap", "goal_tolerance_m": 0.05, "step_limit": 500},
     }.items(),
