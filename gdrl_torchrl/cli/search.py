@@ -34,9 +34,9 @@ def load_search(arguments: list[str]) -> SearchConfig:
         ValueError: If no search is named, or a value or an override is not valid.
 
     Examples:
-        >>> search = load_search(["+search=gppo_water", "search.num_trials=3", "seed=1"])
+        >>> search = load_search(["+search=ppo_water", "search.num_trials=3", "seed=1"])
         >>> search.num_trials, search.overrides
-        (3, ['experiment=gppo_water', 'seed=1'])
+        (3, ['experiment=ppo_water', 'seed=1'])
     """
     named = [a for a in arguments if a.lstrip("+").startswith("search=")]
     names = [argument.partition("=")[2] for argument in named]
