@@ -59,14 +59,13 @@ PRESETS = {
         Preset("indoor_corridor", *INDOOR, ("task=indoor_corridor",), 300_000),
         Preset("indoor_trap", *INDOOR, ("task=indoor_trap",), 300_000),
         Preset(
-            *("little_data", *WATER),
+            "little_data",
+            *WATER,
             ("task=water_precise", "+regime=little_data"),
             150_000,
         ),
-        Preset(
-            *("one_world", *INDOOR), ("task=indoor_paper", "+regime=one_world"), 100_000
-        ),
-        Preset(*("unstable", *INDOOR), ("task=indoor_paper", "+regime=unstable"), 100_000),
+        Preset("one_world", *INDOOR, ("task=indoor_paper", "+regime=one_world"), 100_000),
+        Preset("unstable", *INDOOR, ("task=indoor_paper", "+regime=unstable"), 100_000),
     )
 }
 """By name. Budgets are the first guess; what was certified is in the table."""

@@ -26,7 +26,8 @@ from gdrl_torchrl.reports.statistics.averages import interquartile_mean, worst_q
 from gdrl_torchrl.reports.statistics.bootstrap import estimate
 from gdrl_torchrl.reports.statistics.probabilities import improvement_over_tasks
 
-_MARK = re.compile(r"(<!-- gdrl ([^>]*?) -->)(.*?)(<!-- / -->)", re.DOTALL)
+_BEGIN, _END = "<!-- gdrl ", "<!-- / -->"
+_MARK = re.compile(rf"({_BEGIN}([^>]*?) -->)(.*?)({_END})", re.DOTALL)
 _FIELDS = ("study", "task", "method", "against", "figure")
 
 ARM_FIGURES: dict[str, Callable[[Arm], str]] = {
@@ -72,17 +73,25 @@ def filled(text: str, results: Path) -> str:
         results: Folder of the results of studies.
 
     Raises:
-        ValueError: If a mark names what there is not, or results are damaged.
+        ValueError: If a mark names what there is not or has no end, or results are
+            damaged.
     """
     study = functools.cache(lambda name: read_study(results / name))
 
     def fill(mark: re.Match[str]) -> str:
+        # Or all up to the end of the next mark would be taken for its figure.
+        if _BEGIN in mark[3]:
+            raise ValueError(f"{mark[1]} must be ended by {_END}")
         try:
             figure = _figure(_fields(mark[2]), study)
         except ValueError as error:
             raise ValueError(f"{mark[1]}: {error}") from error
         return f"{mark[1]}{figure}{mark[4]}"
 
+    rest = _MARK.sub("", text)
+    if _BEGIN in rest:
+        begun = rest[rest.index(_BEGIN) :].partition("\n")[0]
+        raise ValueError(f"{begun} must be ended by {_END}")
     return _MARK.sub(fill, text)
 
 

@@ -115,6 +115,14 @@ def test_a_mark_of_what_there_is_not_is_named_and_no_file_changes(
     assert "?" in good.read_text()
 
 
+@pytest.mark.parametrize("rest", ["", " between ", "never ended"])
+def test_a_mark_without_an_end_is_named_and_takes_no_text_with_it(study, rest):
+    begun = mark("runs", task="near", method="ppo").removesuffix("<!-- / -->")
+    other = mark("runs", task="near", method="gppo") if rest != "never ended" else ""
+    with pytest.raises(ValueError, match=r"method=ppo figure=runs -->.* must be ended by"):
+        filled(f"{begun}{rest}{other}", study.parent)
+
+
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_marked_figures_of_our_texts_are_those_of_the_results(path):
     text = path.read_text(encoding="utf-8")
