@@ -82,7 +82,7 @@ class Shard:
         if len(ids) == 0:
             return np.zeros(0, dtype=bool)
         substeps = self.task.spec.num_substeps
-        # The engine checks the numbers of worlds at every call, but not that they are all.
+        # Without numbers the engine steps all its worlds; numbers it checks at every call.
         which = None if len(ids) == len(self._qpos) else ids
         self._engine_qpos[...], self._engine_qvel[...] = self._qpos, self._qvel
         if self._control is not None:
