@@ -55,7 +55,7 @@ PRESETS = {
         Preset("indoor_paper", *INDOOR, ("task=indoor_paper",), 100_000),
         Preset("indoor_sparse", *INDOOR, ("task=indoor_sparse",), 100_000),
         Preset("indoor_scatter", *INDOOR, ("task=indoor_scatter",), 100_000),
-        Preset("indoor_scatter_sparse", *INDOOR, ("task=indoor_scatter_sparse",), 100_000),
+        Preset("indoor_scatter_sparse", *INDOOR, ("task=indoor_scatter_sparse",), 80_000),
         Preset("indoor_corridor", *INDOOR, ("task=indoor_corridor",), 300_000),
         Preset("indoor_trap", *INDOOR, ("task=indoor_trap",), 300_000),
         Preset(
