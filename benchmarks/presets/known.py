@@ -52,20 +52,20 @@ PRESETS = {
         Preset("water_precise", *WATER, ("task=water_precise",), 120_000),
         Preset("water_linear", *WATER, ("task=water_linear",), 150_000),
         Preset("water_far_current", *WATER, ("task=water_far_current",), 300_000),
-        Preset("indoor_paper", *INDOOR, ("task=indoor_paper",), 100_000),
+        Preset("indoor_paper", *INDOOR, ("task=indoor_paper",), 50_000),
         Preset("indoor_sparse", *INDOOR, ("task=indoor_sparse",), 100_000),
-        Preset("indoor_scatter", *INDOOR, ("task=indoor_scatter",), 100_000),
+        Preset("indoor_scatter", *INDOOR, ("task=indoor_scatter",), 50_000),
         Preset("indoor_scatter_sparse", *INDOOR, ("task=indoor_scatter_sparse",), 80_000),
-        Preset("indoor_corridor", *INDOOR, ("task=indoor_corridor",), 300_000),
-        Preset("indoor_trap", *INDOOR, ("task=indoor_trap",), 300_000),
+        Preset("indoor_corridor", *INDOOR, ("task=indoor_corridor",), 100_000),
+        Preset("indoor_trap", *INDOOR, ("task=indoor_trap",), 100_000),
         Preset(
             "little_data",
             *WATER,
             ("task=water_precise", "+regime=little_data"),
             150_000,
         ),
-        Preset("one_world", *INDOOR, ("task=indoor_paper", "+regime=one_world"), 100_000),
-        Preset("unstable", *INDOOR, ("task=indoor_paper", "+regime=unstable"), 100_000),
+        Preset("one_world", *INDOOR, ("task=indoor_paper", "+regime=one_world"), 50_000),
+        Preset("unstable", *INDOOR, ("task=indoor_paper", "+regime=unstable"), 50_000),
     )
 }
 """By name. Budgets are the first guess; what was certified is in the table."""
