@@ -5,7 +5,7 @@
     python -m benchmarks.presets runs FOLDER [PRESET ...] read their runs
 
 What is found is written to results/presets/certified.csv, a row for each preset and
-criterion, and printed.
+criterion, and printed; results/presets/certified.md has a line for each preset.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 
 from benchmarks.presets.bare_agents import rows_of_runs
 from benchmarks.presets.known import PRESETS, Preset
-from benchmarks.presets.table import Row, certified, make_row, update_table
+from benchmarks.presets.table import (
+    SUMMARY,
+    Row,
+    certified,
+    make_row,
+    summary,
+    update_table,
+)
 from gdrl_torchrl.cli.shared.arguments import fail
 
 
@@ -98,6 +105,7 @@ def main() -> None:
         for row in found:
             # At once: there may be an hour between two rows.
             rows = update_table([row])
+            SUMMARY.write_text(summary(rows))
             print(_line(row), flush=True)
     except (OSError, ValueError) as error:
         fail(error)

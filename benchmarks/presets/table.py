@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 
 TABLE = Path(__file__).parents[2] / "results" / "presets" / "certified.csv"
+SUMMARY = TABLE.with_suffix(".md")
 CONFIDENCE = 0.95
 
 
@@ -164,6 +165,33 @@ def certified(rows: Sequence[Row]) -> dict[str, str]:
     for row in rows:
         verdicts.setdefault(row.preset, {})[row.criterion] = row.verdict
     return {preset: _verdict(found) for preset, found in verdicts.items()}
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """A table of Markdown with a line a preset: what was measured, and the verdict."""
+    found = {(row.preset, row.criterion): row for row in rows}
+
+    def cell(preset: str, criterion: str) -> str:
+        row = found.get((preset, criterion))
+        if row is None:
+            return ""
+        digits = f"{float(row.figure):.3f}"
+        return f"**{digits}**" if row.verdict == "fail" else digits
+
+    columns = ["preset", "verdict", "total steps", "seeds", *CRITERIA]
+    lines = [columns, ["---"] * len(columns)]
+    for preset, verdict in certified(rows).items():
+        trained = found.get((preset, "bare_agent_mean"))
+        budget = f"{int(trained.total_steps):,}" if trained else ""
+        seeds = trained.seeds.split() if trained else []
+        lines.append(
+            [
+                *(f"`{preset}`", verdict, budget),
+                f"{seeds[0]} to {seeds[-1]}" if seeds else "",
+                *(cell(preset, criterion) for criterion in CRITERIA),
+            ]
+        )
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _verdict(found: dict[str, str]) -> str:

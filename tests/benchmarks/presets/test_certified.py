@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from benchmarks.presets.known import PRESETS
 from benchmarks.presets.measure import scripted, untrained
-from benchmarks.presets.table import certified, read_table
+from benchmarks.presets.table import SUMMARY, certified, read_table, summary
 from gdrl_tasks import task_names
 from gdrl_torchrl.cli.shared.names import names_in
 from tests.marks import full_but
@@ -54,6 +54,25 @@ def test_a_row_says_what_its_success_rates_say(row):
     least, most = LIMITS[row.criterion]
     assert (float(row.least), float(row.most)) == (least, most)
     assert row.verdict == ("pass" if least <= float(row.figure) <= most else "fail")
+
+
+def test_the_summary_has_a_line_for_every_preset_and_is_that_of_the_table():
+    text = SUMMARY.read_text()
+    assert text == summary(list(ROWS.values()))
+    columns, _, *lines = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()
+    ]
+    assert [line[0] for line in lines] == [
+        f"`{name}`" for name in sorted({name for name, _ in ROWS})
+    ]
+    for line in lines:
+        of = dict(zip(columns, line, strict=True))
+        for criterion in LIMITS:
+            row = ROWS.get((of["preset"].strip("`"), criterion))
+            figure = f"{float(row.figure):.3f}" if row else ""
+            is_bold = row is not None and row.verdict == "fail"
+            assert of[criterion] == (f"**{figure}**" if is_bold else figure)
+            assert not is_bold or of["verdict"] == "failed"
 
 
 @pytest.mark.parametrize("name", full_but([*TASKS][::3], TASKS))
