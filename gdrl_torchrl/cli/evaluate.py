@@ -84,7 +84,7 @@ def evaluate_run(arguments: list[str]) -> dict[str, Any]:
 
     with named(path):
         actor = make_actor(task, config.network, config.algorithm)
-    load_policy(run / "final", actor)
+    load_policy(run / "final", actor, network=f"the network of {path}")
     scores = evaluate_policy(task, actor, evaluation, backend=task_config.backend)
     return {
         "task": task.name,

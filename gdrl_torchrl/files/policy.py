@@ -71,10 +71,16 @@ def save_policy(
     _write(folder / CONTRACT_FILE, f"{json.dumps(contract, indent=2)}\n".encode())
 
 
-def load_policy(folder: Path, actor: nn.Module) -> None:
+def load_policy(folder: Path, actor: nn.Module, *, network: str = "the network") -> None:
     """Read weights of :func:`save_policy` into an actor of the same shape.
 
     No code of the file is run: it has none. After an error the actor is what it was.
+
+    Args:
+        folder: Where from.
+        actor: What the weights are for.
+        network: What errors call the actor, such as the file that it was made from: if
+            the two differ, either may be damaged.
 
     Raises:
         ValueError: If the file is missing, damaged, of another network, holds numbers
@@ -89,7 +95,7 @@ def load_policy(folder: Path, actor: nn.Module) -> None:
     # What a damaged file makes readers raise has no common type.
     except Exception as error:
         raise ValueError(f"{path} cannot be loaded: {error}") from error
-    _check_state(state, own, path)
+    _check_state(state, own, path, network)
     if contract.exists():
         said = read_object(contract, {"params_sha256": DIGEST})["params_sha256"]
         if said != (found := _digest(state)):
@@ -101,19 +107,22 @@ def load_policy(folder: Path, actor: nn.Module) -> None:
 
 
 def _check_state(
-    found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor], path: Path
+    found: Mapping[str, torch.Tensor],
+    expected: Mapping[str, torch.Tensor],
+    path: Path,
+    network: str,
 ) -> None:
     """Raise ValueError unless two states have the same names, types and shapes."""
     problem = f"{path} cannot be loaded: it"
     if missing := sorted(expected.keys() - found.keys()):
-        raise ValueError(f"{problem} has no {missing}")
+        raise ValueError(f"{problem} has no {missing}, which {network} has")
     if unknown := sorted(found.keys() - expected.keys()):
-        raise ValueError(f"{problem} has {unknown}, which the network has not")
+        raise ValueError(f"{problem} has {unknown}, which {network} has not")
     for name, its in found.items():
         own = expected[name]
         if (its.dtype, its.shape) != (own.dtype, own.shape):
             raise ValueError(
-                f"{problem} has {name} of {its.dtype} {list(its.shape)}, the network has "
+                f"{problem} has {name} of {its.dtype} {list(its.shape)}, {network} has "
                 f"{own.dtype} {list(own.shape)}"
             )
         if not bool(torch.isfinite(its).all()):

@@ -66,9 +66,10 @@ class SavedPolicy:
         from gdrl_torchrl.files.policy import load_policy
         from gdrl_torchrl.runs.evaluate import greedy_act
 
-        with named(self.run / "config.json"):
+        path = self.run / "config.json"
+        with named(path):
             actor = make_actor(self.task, self.config.network, self.config.algorithm)
-        load_policy(self.run / "final", actor)
+        load_policy(self.run / "final", actor, network=f"the network of {path}")
         return greedy_act(actor)
 
     def seeds(self, episodes: int) -> np.ndarray:

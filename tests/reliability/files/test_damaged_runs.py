@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,6 +36,22 @@ def test_evaluating_a_damaged_run_ends_with_an_error(reader, run, monkeypatch):
         with replaced(path, content):
             said = said_by(evaluate.main, [f"run={run}"], monkeypatch)
         assert said.startswith(f"error: {path}")
+
+
+@pytest.mark.parametrize(
+    "cells", [[8, 9], [8], [8, 8, 8]], ids=["wider", "a layer less", "a layer more"]
+)
+def test_a_config_that_makes_another_network_is_named_beside_the_policy(cells, run):
+    path = run / "config.json"
+    config = json.loads(path.read_text())
+    assert config["network"]["actor_cells"] == [8, 8]
+    config["network"]["actor_cells"] = cells
+    with (
+        replaced(path, json.dumps(config).encode()),
+        pytest.raises(ValueError, match=re.escape(str(path))) as refusal,
+    ):
+        evaluate.evaluate_run([f"run={run}"])
+    assert str(run / READERS["policy"][0]) in str(refusal.value)
 
 
 @pytest.mark.parametrize("file", ["config.json", "metrics.csv", "evaluation.json"])
