@@ -13,6 +13,7 @@ from scipy import stats
 
 TABLE = Path(__file__).parents[2] / "results" / "presets" / "certified.csv"
 SUMMARY = TABLE.with_suffix(".md")
+"""The same for people: a line a preset."""
 CONFIDENCE = 0.95
 
 
