@@ -92,6 +92,9 @@ class StudyConfig:
     """Level of the tests of all hypotheses together."""
     hypotheses: list[Hypothesis] = dataclasses.field(default_factory=list)
     """What is tested; anything else in a report is a look."""
+    baseline: dict[str, str] = dataclasses.field(default_factory=dict)
+    """By the task's name, the method that a report shows all others beside, such as the
+    bare agent. A look: no hypothesis."""
     elsewhere: dict[str, dict[str, list[str]]] = dataclasses.field(default_factory=dict)
     """Other worlds that the final policies of a task's runs are evaluated on too: by the
     task's name and their own, overrides that make them of the task."""
@@ -108,15 +111,21 @@ class StudyConfig:
             check_folder("study.tasks", task)
             check_choice("a task in study.total_steps", task, self.total_steps)
         for name, method in self.methods.items():
-            check_folder("study.methods", name)
-            if not method.tasks:
-                raise ValueError(f"study.methods.{name}.tasks=[] must not be empty")
-            for task in method.tasks:
-                check_choice(f"study.methods.{name}.tasks", task, self.tasks)
+            self._check_method(name, method)
         for hypothesis in self.hypotheses:
             self._check(hypothesis)
+        for task, method in self.baseline.items():
+            check_choice("a task in study.baseline", task, self.tasks)
+            check_choice(f"study.baseline.{task}", method, self._methods_on(task))
         for task, worlds in self.elsewhere.items():
             self._check_worlds(task, worlds)
+
+    def _check_method(self, name: str, method: StudyMethod) -> None:
+        check_folder("study.methods", name)
+        if not method.tasks:
+            raise ValueError(f"study.methods.{name}.tasks=[] must not be empty")
+        for task in method.tasks:
+            check_choice(f"study.methods.{name}.tasks", task, self.tasks)
 
     def _check_worlds(self, task: str, worlds: dict[str, list[str]]) -> None:
         check_choice("a task in study.elsewhere", task, self.tasks)
@@ -127,6 +136,8 @@ class StudyConfig:
         start = f"study.hypotheses: {hypothesis.name}"
         check_choice(f"{start}.task", hypothesis.task, self.tasks)
         for field in ("method", "against"):
-            name = getattr(hypothesis, field)
-            on_task = [n for n, m in self.methods.items() if hypothesis.task in m.tasks]
-            check_choice(f"{start}.{field}", name, on_task)
+            on_task = self._methods_on(hypothesis.task)
+            check_choice(f"{start}.{field}", getattr(hypothesis, field), on_task)
+
+    def _methods_on(self, task: str) -> list[str]:
+        return [name for name, method in self.methods.items() if task in method.tasks]

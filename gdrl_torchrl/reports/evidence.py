@@ -122,6 +122,7 @@ class Evidence:
         arms: Runs by task and method.
         hypotheses: Those that were registered.
         alpha: Level of the tests of all hypotheses together.
+        baselines: By task, the method that others are shown beside.
     """
 
     title: str
@@ -133,6 +134,7 @@ class Evidence:
     arms: tuple[Arm, ...]
     hypotheses: tuple[Hypothesis, ...] = ()
     alpha: float = 0.05
+    baselines: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @cached_property
     def tasks(self) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from gdrl_torchrl.reports.evidence import Arm, Evidence
 from gdrl_torchrl.reports.of_study import read_study
 from gdrl_torchrl.reports.page.content import Table, count, number, p_value, with_limits
 from gdrl_torchrl.reports.page.write import markdown_table
+from gdrl_torchrl.reports.sections.comparison import beside_baseline_table
 from gdrl_torchrl.reports.sections.elsewhere import elsewhere_table
 from gdrl_torchrl.reports.sections.hypotheses import Outcome, hypotheses_table, outcomes
 from gdrl_torchrl.reports.sections.scores import costs_table, reached_table
@@ -61,6 +62,7 @@ TABLES: dict[str, Callable[[Evidence], Table]] = {
     "reached": reached_table,
     "costs": costs_table,
     "elsewhere": elsewhere_table,
+    "beside_baseline": beside_baseline_table,
 }
 """Of a study, or of one of its tasks."""
 

@@ -124,6 +124,7 @@ def study_evidence(
         arms=tuple(arms),
         hypotheses=tuple(_hypotheses(protocol, labels)),
         alpha=protocol["alpha"],
+        baselines={t: labels[m] for t, m in protocol.get("baseline", {}).items()},
     )
 
 

@@ -22,9 +22,10 @@ class Job:
 def protocol_of(config: StudyConfig) -> dict[str, Any]:
     """Everything that a study fixes, as plain values."""
     fixed = dataclasses.asdict(config)
-    if not config.elsewhere:
+    for name in ("elsewhere", "baseline"):
         # Studies from before there was such a field keep their digests.
-        del fixed["elsewhere"]
+        if not fixed[name]:
+            del fixed[name]
     return fixed
 
 

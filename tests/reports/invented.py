@@ -19,7 +19,7 @@ POINTS = 20
 STEPS = {"near": 200_000, "paper": 300_000}
 
 
-def protocol(seeds, hypotheses=None):
+def protocol(seeds, hypotheses=None, baseline=None):
     return {
         "name": "invented",
         "question": "Does <evolution> help & how much?",
@@ -41,6 +41,7 @@ def protocol(seeds, hypotheses=None):
         ]
         if hypotheses is None
         else hypotheses,
+        **({"baseline": baseline} if baseline else {}),
     }
 
 
@@ -130,9 +131,11 @@ def hash_of(method):
     return {"ppo": "aaaa0001", "gppo": "aaaa0002"}.get(method, "bbbb0001")
 
 
-def write_study(results, seeds=range(8), leave_out=(), failed=(), hypotheses=None):
+def write_study(
+    results, seeds=range(8), leave_out=(), failed=(), hypotheses=None, baseline=None
+):
     """A study in a folder of results; the folder of the study."""
-    given = protocol(seeds, hypotheses)
+    given = protocol(seeds, hypotheses, baseline)
     study = StudyResults(results / "invented")
     study.begin(given)
     digest = study.protocol()[1]

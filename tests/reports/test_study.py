@@ -11,6 +11,7 @@ from scipy import stats
 
 from gdrl_torchrl.reports.of_study import read_study
 from gdrl_torchrl.reports.report import sections_of, write_report
+from gdrl_torchrl.reports.sections.comparison import beside_baseline_table
 from gdrl_torchrl.reports.sections.hypotheses import hypotheses_section, outcomes
 from gdrl_torchrl.studies.results import StudyResults
 from tests.reports.invented import hypothesis, write_study
@@ -138,6 +139,32 @@ def test_success_in_other_worlds_is_beside_that_at_home(study, tables):
     assert rows["ppo"]["worst"] == "0.000", "of the run that failed"
     assert rows["ppo"]["success"].startswith(f"{0.75 * np.mean(home):.3f}")
     assert rows["ppo"]["difference"] == f"{-0.25 * np.mean(home):.3f}"
+
+
+def test_other_methods_are_shown_beside_the_baseline_of_a_task(tmp_path):
+    folder = write_study(tmp_path, leave_out=[("gppo", 3)], baseline={"near": "ppo"})
+    sections = {s.name: s for s in sections_of(read_study(folder))}
+    tables = [b for b in sections["comparison"].blocks if b.kind == "table"]
+    titles = [table.columns for table in tables]
+    assert titles == [
+        ("task", "method", "baseline", "runs", "difference", "improvement"),
+        ("", "rainbow", "grainbow"),
+    ], "a task with a baseline has no table of all pairs"
+    (row,) = tables[0].rows
+    x, y = (np.array(areas(folder, method)) for method in ("gppo", "ppo"))
+    assert row[:4] == ("near", "gppo", "ppo", "7, 8")
+    interval = stats.ttest_ind(x, y, equal_var=False).confidence_interval(0.95)
+    said = f"{x.mean() - y.mean():.3f} [{interval.low:.3f}, {interval.high:.3f}]"
+    assert row[4].replace("\N{NO-BREAK SPACE}", " ") == said
+    wins = stats.mannwhitneyu(x, y).statistic / (len(x) * len(y))
+    assert row[5].startswith(f"{wins:.2f}\N{NO-BREAK SPACE}[")
+
+
+def test_a_baseline_without_runs_is_beside_nothing(tmp_path):
+    without = [("ppo", seed) for seed in range(8)]
+    folder = write_study(tmp_path, leave_out=without, baseline={"near": "ppo"})
+    assert not beside_baseline_table(read_study(folder)).rows
+    assert write_report(read_study(folder), tmp_path / "page").exists()
 
 
 def test_times_to_a_threshold_count_a_crash_as_never(study, tables):

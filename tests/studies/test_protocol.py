@@ -23,6 +23,7 @@ def test_every_method_is_run_with_every_seed_and_early_results_are_of_all():
         {"alpha": 0.1},
         {"hypotheses": []},
         {"elsewhere": {"easy": {"rough": ["task.sea=rough"]}}},
+        {"baseline": {"easy": "ppo"}},
         {"total_steps": {"easy": 401}},
         {
             "methods": {"ppo": StudyMethod(["easy"], ["experiment=ppo_water"])},
@@ -54,6 +55,8 @@ def test_whatever_changes_makes_it_another_protocol(changed):
             "h.against='pop' must be",
         ),
         ({"hypotheses": [Hypothesis("h", "far", "gppo", "ppo")]}, "h.task='far' must be"),
+        ({"baseline": {"far": "ppo"}}, r"study\.baseline='far' must be one of"),
+        ({"baseline": {"easy": "x"}}, r"study\.baseline\.easy='x' must be one of"),
         ({"elsewhere": {"far": {}}}, r"study\.elsewhere='far' must be one of"),
         ({"elsewhere": {"easy": {"a/b": []}}}, r"elsewhere\.easy='a/b' must be a folder's"),
     ],

@@ -16,6 +16,7 @@ from gdrl_torchrl.reports.page.content import (
 )
 from gdrl_torchrl.reports.statistics.averages import stratified_iqm
 from gdrl_torchrl.reports.statistics.bootstrap import estimate
+from gdrl_torchrl.reports.statistics.comparisons import welch
 from gdrl_torchrl.reports.statistics.probabilities import (
     improvement_over_tasks,
     mean_with_limits,
@@ -30,20 +31,48 @@ def comparison_section(evidence: Evidence, looks: Looks) -> Section:
     tables = [
         _improvements(evidence, [arm.method for arm in evidence.of_task(task)], (task,))
         for task in evidence.tasks
-        if len(evidence.of_task(task)) > 1
+        if len(evidence.of_task(task)) > 1 and task not in evidence.baselines
     ]
+    beside = beside_baseline_table(evidence)
+    if beside.rows:
+        tables.insert(0, beside)
     methods = list(evidence.on_all_tasks())
     if len(evidence.tasks) > 1 and len(methods) > 1:
         tables += [_over_tasks(evidence, methods)]
         tables += [_improvements(evidence, methods, evidence.tasks)]
     note = Text(
-        "These are of all pairs, not of registered hypotheses: they describe, and an "
-        "interval that leaves out one half is no test among so many."
+        "These are of many pairs, not of registered hypotheses: they describe, and an "
+        "interval that leaves out no difference, or one half, is no test among so many."
     )
     return Section(
         "comparison",
         "Method against method",
         (note, *tables, _profiles(evidence, methods, looks)),
+    )
+
+
+def beside_baseline_table(evidence: Evidence) -> Table:
+    """A row for each method beside the baseline of its task."""
+    name = evidence.words.score_name
+    rows = []
+    for task, baseline in evidence.baselines.items():
+        base = evidence.arm(task, baseline).scores
+        others = [arm for arm in evidence.of_task(task) if arm.method != baseline]
+        rows += [
+            (
+                *(task, arm.method, baseline, f"{len(arm.runs)}, {len(base)}"),
+                with_limits(welch(arm.scores, base)[0]),
+                with_limits(improvement_over_tasks([(arm.scores, base)]), 2),
+            )
+            for arm in others
+            if len(base)
+        ]
+    return Table(
+        f"Every method beside the baseline of its task: difference of mean {name} with its "
+        "95 % interval (Welch), and the probability that a run of the method has a higher "
+        f"{name} than one of the baseline",
+        ("task", "method", "baseline", "runs", "difference", "improvement"),
+        rows,
     )
 
 
