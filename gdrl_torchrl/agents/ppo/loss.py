@@ -6,6 +6,7 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from gdrl_torchrl.agents.ppo.advantage import CompiledGAE
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 
 
@@ -44,13 +45,5 @@ def make_ppo_loss(
         loss_critic_type="l2",
         normalize_advantage=config.normalize_advantage,
     )
-    # After an episode's end the next row is not what followed: shifted=False computes the
-    # values of both sides of every step, in two calls, which are faster than one over both.
-    advantage = GAE(
-        gamma=config.gamma,
-        lmbda=config.lmbda,
-        value_network=critic,
-        shifted=False,
-        deactivate_vmap=True,
-    )
+    advantage = CompiledGAE(gamma=config.gamma, lmbda=config.lmbda, value_network=critic)
     return loss, advantage
