@@ -124,6 +124,27 @@ def test_a_bad_trial_ends_early_and_a_good_one_gets_every_budget(tmp_path):
     assert all(len(found) == 3 for found in list(budgets.values())[:5])
 
 
+def test_settings_that_were_tried_are_not_tried_again(tmp_path, caplog):
+    """Nor do they count: a search has as many different trials as it says."""
+    params = {
+        "evolution.num_children": "choice(5, 10, 20)",
+        "evolution.period_episodes": "choice(25, 50)",
+    }
+    fake = FakeRuns(tmp_path / "fake", rate=lambda e: e.evolution.num_children / 20)
+    search, runs = search_of(tmp_path, fake, params=params, num_trials=5)
+    search.optimize()
+    settings = [
+        (e.evolution.num_children, e.evolution.period_episodes) for e in runs.experiments
+    ]
+    assert len(search.finished()) == len(set(settings)) == len(settings) == 5
+    # There are six of them, and then nothing is left to try.
+    more, runs = search_of(tmp_path, fake, params=params, num_trials=9)
+    more.optimize()
+    assert len(more.finished()) == len(runs.experiments) == 6
+    assert "every choice that is left was tried: 6 trials" in caplog.text
+    assert "repeats" not in search_table(more)
+
+
 def test_worlds_that_decide_are_not_those_of_reports(tmp_path):
     search, runs = search_of(tmp_path, num_trials=1)
     search.optimize()

@@ -85,6 +85,9 @@ class Search:
     def _try(self, trial: Any) -> None:
         chosen = [_suggest(trial, param) for param in self.params]
         trial.set_user_attr("overrides", chosen)
+        if any(chosen == other.user_attrs["overrides"] for other in self.finished()):
+            self.study.note_repeated(trial)
+            return
         try:
             value, pruned = self._value(trial, chosen)
         # Whatever else ends a run says nothing about settings: the trial is taken up.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import os
 from collections.abc import Iterator
@@ -17,7 +18,8 @@ from gdrl_torchrl.cli.trials.journal import SearchJournal
 from gdrl_torchrl.files.safe_files import locked, open_own
 
 _logger = logging.getLogger(__name__)
-_ERROR = "error"
+_ERROR, _REPEATS = "error", "repeats"
+_REPEATS_TO_RANDOM, _REPEATS_TO_END = 10, 200
 
 
 class SharedStudy:
@@ -50,12 +52,15 @@ class SharedStudy:
     def next_trial(self, num_trials: int, sampler_seed: int) -> Iterator[Any]:
         """Take a trial that no other process has, and keep it locked.
 
+        After ten in a row whose settings were tried before, settings are drawn at random,
+        and after 200 there is none.
+
         Args:
             num_trials: How many trials there may be, those of other processes included.
             sampler_seed: The trial's settings are drawn with this plus its number.
 
         Yields:
-            The trial, or None if there are enough.
+            The trial, or None if there are enough, or nothing new to try.
         """
         with contextlib.ExitStack() as stack:
             yield self._taken(stack, num_trials, sampler_seed)
@@ -70,11 +75,19 @@ class SharedStudy:
                 if running:
                     _logger.warning("%d trials still run in other processes", running)
                 return None
+            repeats = self._repeats()
+            if repeats >= _REPEATS_TO_END:
+                _logger.warning("every choice that is left was tried: %d trials", finished)
+                return None
             trial = self._study.ask()
             stack.enter_context(self._locked(trial.number))
         # Neither another process nor a restart may draw the same numbers again.
         seed = sampler_seed + trial.number
-        self._study.sampler = optuna.samplers.TPESampler(seed=seed)
+        samplers = optuna.samplers
+        kind = (
+            samplers.RandomSampler if repeats >= _REPEATS_TO_RANDOM else samplers.TPESampler
+        )
+        self._study.sampler = kind(seed=seed)
         return trial
 
     def note_value(self, trial: Any, value: float) -> None:
@@ -88,6 +101,11 @@ class SharedStudy:
     def note_error(self, trial: Any, error: str) -> None:
         """Note that a trial's settings are not valid, or do not train."""
         trial.set_user_attr(_ERROR, error)
+        self._study.tell(trial, state=TrialState.FAIL)
+
+    def note_repeated(self, trial: Any) -> None:
+        """Note that a trial's settings were tried before: it does not count."""
+        trial.set_user_attr(_REPEATS, True)
         self._study.tell(trial, state=TrialState.FAIL)
 
     def finished(self) -> list[Any]:
@@ -111,6 +129,13 @@ class SharedStudy:
             else:
                 ended += _has_ended(trial)
         return ended, running
+
+    def _repeats(self) -> int:
+        """How many of the newest trials, in a row, had settings that were tried before."""
+        newest = reversed(self._study.get_trials(deepcopy=False))
+        return sum(
+            1 for _ in itertools.takewhile(lambda t: _REPEATS in t.user_attrs, newest)
+        )
 
     def _has_ended_or_is_taken_up(self, number: int) -> bool:
         trial = self._study.get_trials(deepcopy=False)[number]
