@@ -46,6 +46,8 @@ def rows(folder: Path, options: list[str], *, curves: bool) -> list[dict[str, ob
 if __name__ == "__main__":
     given = [argument for argument in sys.argv[1:] if argument != "--curves"]
     table = rows(Path(given[0]), given[1:], curves="--curves" in sys.argv)
+    if not table:
+        sys.exit(f"below {given[0]} there is no finished run to collect")
     writer = csv.DictWriter(sys.stdout, list(table[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(table)
