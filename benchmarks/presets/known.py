@@ -68,5 +68,5 @@ PRESETS = {
         Preset("unstable", *INDOOR, ("task=indoor_paper", "+regime=unstable"), 50_000),
     )
 }
-"""By name. Budgets are those that the table was measured with. ``water_near`` failed before its
-bare agent was trained."""
+"""By name. Budgets are those that the table was measured with. ``water_near`` failed before
+its bare agent was trained."""
