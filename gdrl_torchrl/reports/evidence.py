@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -149,6 +149,17 @@ class Evidence:
     def on(self, task: str) -> Evidence:
         """The runs on one task, without hypotheses: these are tested all together."""
         arms = tuple(arm for arm in self.arms if arm.task == task)
+        return dataclasses.replace(self, arms=arms, hypotheses=())
+
+    def of_methods(self, methods: Collection[str]) -> Evidence:
+        """The runs of some methods and of their tasks' baselines, without hypotheses."""
+        tasks = {arm.task for arm in self.arms if arm.method in methods}
+        arms = tuple(
+            arm
+            for arm in self.arms
+            if arm.method in methods
+            or (arm.task in tasks and self.baselines.get(arm.task) == arm.method)
+        )
         return dataclasses.replace(self, arms=arms, hypotheses=())
 
     def of_task(self, task: str) -> tuple[Arm, ...]:

@@ -19,7 +19,7 @@ from gdrl_torchrl.reports.evidence import Arm, Evidence
 from gdrl_torchrl.reports.of_study import read_study
 from gdrl_torchrl.reports.page.content import Table, count, number, p_value, with_limits
 from gdrl_torchrl.reports.page.write import markdown_table
-from gdrl_torchrl.reports.sections.comparison import beside_baseline_table
+from gdrl_torchrl.reports.sections.comparison import beside_baseline_table, summary_table
 from gdrl_torchrl.reports.sections.elsewhere import elsewhere_table
 from gdrl_torchrl.reports.sections.hypotheses import Outcome, hypotheses_table, outcomes
 from gdrl_torchrl.reports.sections.scores import costs_table, reached_table
@@ -29,7 +29,7 @@ from gdrl_torchrl.reports.statistics.probabilities import improvement_over_tasks
 
 _BEGIN, _END = "<!-- gdrl ", "<!-- / -->"
 _MARK = re.compile(rf"({_BEGIN}([^>]*?) -->)(.*?)({_END})", re.DOTALL)
-_FIELDS = ("study", "task", "method", "against", "figure")
+_FIELDS = ("study", "task", "method", "against", "methods", "figure")
 
 ARM_FIGURES: dict[str, Callable[[Arm], str]] = {
     "runs": lambda arm: str(len(arm.runs)),
@@ -61,10 +61,11 @@ HYPOTHESIS_FIGURES: dict[str, Callable[[Outcome], str]] = {
 TABLES: dict[str, Callable[[Evidence], Table]] = {
     "reached": reached_table,
     "costs": costs_table,
+    "summary": summary_table,
     "elsewhere": elsewhere_table,
     "beside_baseline": beside_baseline_table,
 }
-"""Of a study, or of one of its tasks."""
+"""Of a study, of one of its tasks, or of some of its methods (``methods=a,b``)."""
 
 
 def filled(text: str, results: Path) -> str:
@@ -143,9 +144,9 @@ def _figure(fields: Mapping[str, str], study: Callable[[str], Evidence]) -> str:
     if "task" in fields:
         check_choice("task", fields["task"], evidence.tasks)
     if "method" not in fields:
-        if "task" in fields:
+        if "task" in fields or "methods" in fields:
             check_choice("figure", figure, TABLES)
-            table = TABLES[figure](evidence.on(fields["task"]))
+            table = TABLES[figure](_part(evidence, fields))
         else:
             makers = TABLES | {"hypotheses": hypotheses_table}
             check_choice("figure", figure, makers)
@@ -165,6 +166,15 @@ def _figure(fields: Mapping[str, str], study: Callable[[str], Evidence]) -> str:
     if figure in PAIR_FIGURES:
         return PAIR_FIGURES[figure](arms[0], arms[1])
     return HYPOTHESIS_FIGURES[figure](_outcome(evidence, *arms))
+
+
+def _part(evidence: Evidence, fields: Mapping[str, str]) -> Evidence:
+    if "methods" in fields:
+        methods = fields["methods"].split(",")
+        for method in methods:
+            check_choice("methods", method, evidence.methods)
+        evidence = evidence.of_methods(methods)
+    return evidence.on(fields["task"]) if "task" in fields else evidence
 
 
 def _arm(evidence: Evidence, task: str, method: str, field: str) -> Arm:

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from gdrl_torchrl.reports.fill import ARM_FIGURES, fill_files, filled
+from tests.reports.invented import METHODS, write_study
 
 ROOT = Path(__file__).parents[2]
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -77,6 +78,22 @@ def test_tables_have_a_row_a_method_and_can_be_of_one_task(study):
     assert "rough" in figure_of(study, "elsewhere", task="near")
 
 
+def test_a_table_of_some_methods_has_their_baselines_too(tmp_path):
+    study = write_study(tmp_path, baseline={"near": "ppo", "paper": "rainbow"})
+    whole = figure_of(study, "summary").strip().splitlines()
+    assert [line.split(" | ")[1] for line in whole[2:]] == list(METHODS)
+    some = figure_of(study, "summary", methods="grainbow").strip().splitlines()
+    assert some == [*whole[:2], *(line for line in whole if "| paper |" in line)]
+    areas = [column(study, name, "area") for name in ("grainbow", "rainbow")]
+    difference = areas[0].mean() - areas[1].mean()
+    base, other = (line.split(" | ") for line in some[2:])
+    assert base[3] == f"{areas[1].mean():.3f}"
+    assert base[5] == "–"
+    assert other[5].startswith(f"{difference:.3f} ")
+    both = figure_of(study, "reached", methods="ppo,rainbow", task="near")
+    assert both.count("\n| near |") == 1
+
+
 def test_what_was_typed_by_hand_is_replaced_and_the_rest_stays(study, tmp_path):
     of = {"task": "near", "method": "gppo"}
     page = tmp_path / "docs" / "page.md"
@@ -100,6 +117,7 @@ def test_what_was_typed_by_hand_is_replaced_and_the_rest_stays(study, tmp_path):
         ({"figure": "runs", "method": "ppo"}, "task=... must be given beside method="),
         ({"figure": "hypotheses", "task": "near"}, "figure='hypotheses' must be one of"),
         ({"figure": "p", "task": "near", "method": "ppo", "against": "gppo"}, "registered"),
+        ({"figure": "summary", "methods": "ppo,x"}, "methods='x' must be one of"),
         ({"figure": "runs", "seed": "3"}, "a field of a mark='seed' must be one of"),
     ],
 )

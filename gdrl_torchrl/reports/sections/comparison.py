@@ -12,6 +12,7 @@ from gdrl_torchrl.reports.page.content import (
     Section,
     Table,
     Text,
+    number,
     with_limits,
 )
 from gdrl_torchrl.reports.statistics.averages import stratified_iqm
@@ -72,6 +73,35 @@ def beside_baseline_table(evidence: Evidence) -> Table:
         "95 % interval (Welch), and the probability that a run of the method has a higher "
         f"{name} than one of the baseline",
         ("task", "method", "baseline", "runs", "difference", "improvement"),
+        rows,
+    )
+
+
+def summary_table(evidence: Evidence) -> Table:
+    """A row for each method: what it reached, and how it stands beside the baseline."""
+    name = evidence.words.score_name
+    rows = []
+    for arm in (arm for task in evidence.tasks for arm in evidence.of_task(task)):
+        baseline = evidence.baselines.get(arm.task, "")
+        base = evidence.arm(arm.task, baseline).scores
+        beside = (UNKNOWN, UNKNOWN)
+        if len(base) and arm.method != baseline:
+            beside = (
+                with_limits(welch(arm.scores, base)[0]),
+                with_limits(improvement_over_tasks([(arm.scores, base)]), 2),
+            )
+        rows.append(
+            (
+                *(arm.task, arm.method, str(len(arm.runs))),
+                *(number(float(arm.scores.mean())), number(arm.mean("success_rate"))),
+                *beside,
+            )
+        )
+    return Table(
+        f"Mean {name} and final success of each method, and beside the baseline of its "
+        f"task the difference of mean {name} with its 95 % interval (Welch) and the "
+        "probability that a run of the method has the higher one",
+        ("task", "method", "runs", name, "success at the end", "difference", "improvement"),
         rows,
     )
 
