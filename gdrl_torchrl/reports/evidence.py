@@ -49,12 +49,14 @@ class Arm:
         method: The method.
         runs: In the order of their seeds.
         missing: Seeds of the protocol that have not run.
+        configurations: Keys of what its runs were made with, where these are known.
     """
 
     task: str
     method: str
     runs: tuple[Run, ...]
     missing: tuple[int, ...] = ()
+    configurations: tuple[str, ...] = ()
 
     @cached_property
     def scores(self) -> np.ndarray:
@@ -118,7 +120,8 @@ class Evidence:
         words: What the numbers are called.
         facts: Names and values: the protocol, what was run, where it comes from.
         remarks: Sentences on what is missing or was left out.
-        sources: Commands and hashes that every figure comes from.
+        sources: Commands and hashes that every figure comes from; those of its runs are
+            with the arms.
         arms: Runs by task and method.
         hypotheses: Those that were registered.
         alpha: Level of the tests of all hypotheses together.
@@ -170,6 +173,16 @@ class Evidence:
         """The arm of a method on a task; one without runs if there is none."""
         found = (arm for arm in self.arms if (arm.task, arm.method) == (task, method))
         return next(found, Arm(task, method, ()))
+
+    def sources_of(self, tasks: Collection[str]) -> tuple[str, ...]:
+        """What a figure on some tasks comes from, with the configurations of its runs."""
+        made = []
+        for task in tasks:
+            known = [arm for arm in self.of_task(task) if arm.configurations]
+            if known:
+                arms = (f"{arm.method} {' '.join(arm.configurations)}" for arm in known)
+                made.append(f"configurations on {task}: {', '.join(arms)}")
+        return (*self.sources, *made)
 
     def on_all_tasks(self) -> tuple[str, ...]:
         """Methods that have runs on every task: only they can be averaged over tasks."""

@@ -112,7 +112,8 @@ def study_evidence(
             if key in rows
         )
         missing = tuple(key[2] for key in keys if key not in rows)
-        arms.append(Arm(task, labels[method], done, missing))
+        made = {str(rows[key]["configuration"]) for key in keys if key in rows}
+        arms.append(Arm(task, labels[method], done, missing, tuple(sorted(made - {""}))))
     known = [rows[key] for key in planned if key in rows]
     return Evidence(
         title=f"Study {protocol['name']}",
@@ -120,7 +121,7 @@ def study_evidence(
         words=_WORDS[protocol["metric"]],
         facts=tuple(_facts(digest, protocol, known)),
         remarks=tuple(_remarks(planned, rows, len(of_all) - len(rows))),
-        sources=tuple(_sources(folder, digest, protocol, known)),
+        sources=tuple(_sources(folder, digest, protocol)),
         arms=tuple(arms),
         hypotheses=tuple(_hypotheses(protocol, labels)),
         alpha=protocol["alpha"],
@@ -232,7 +233,6 @@ def _sources(
     folder: Path,
     digest: str,
     protocol: Mapping[str, Any],
-    rows: Sequence[Mapping[str, Any]],
 ) -> Iterable[str]:
     yield f"gdrl-report study={protocol['name']}"
     yield f"runs by gdrl-study study={protocol['name']}, protocol {digest[:12]}"
@@ -241,5 +241,3 @@ def _sources(
         if path.exists():
             found = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
             yield f"{name} sha256 {found}"
-    made = {f"{row['method']} on {row['task']} {row['configuration']}" for row in rows}
-    yield f"configurations: {', '.join(sorted(made))}"

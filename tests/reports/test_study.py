@@ -65,6 +65,31 @@ def test_missing_and_failed_runs_are_named(tables):
     assert rows["grainbow"]["missing"] == "7"
 
 
+def test_methods_with_the_same_runs_are_named_in_a_sentence(tmp_path, study):
+    def question(folder):
+        return next(
+            s for s in sections_of(read_study(folder)) if s.name == "question"
+        ).blocks
+
+    whole = question(write_study(tmp_path))
+    said = "4 of 4 pairs of task and method have the same 8 seeds (0 to 7): none failed"
+    assert any(b.kind == "text" and b.text.startswith(said) for b in whole)
+    assert sum(b.kind == "table" for b in whole) == 1, "nothing differs"
+    some = question(study)
+    assert any(b.kind == "text" and b.text.startswith("2 of 4 pairs") for b in some)
+    (runs,) = (b for b in some if b.kind == "table" and "missing" in b.columns)
+    assert [row[1] for row in runs.rows] == ["ppo", "grainbow"]
+
+
+def test_a_figure_of_a_task_names_the_configurations_of_its_runs_alone(study):
+    sections = {s.name: s for s in sections_of(read_study(study))}
+    near, paper = (b for b in sections["learning"].blocks if b.kind == "figure")
+    assert near.sources[-1] == "configurations on near: ppo aaaa0001, gppo aaaa0002"
+    assert "near" not in paper.sources[-1]
+    both = next(b for b in sections["scores"].blocks if b.kind == "figure")
+    assert both.sources == (*near.sources, paper.sources[-1])
+
+
 def test_tests_are_scipys_on_the_areas_of_the_table(study):
     (water, indoor) = outcomes(read_study(study))
     for one, pair in ((water, ("gppo", "ppo")), (indoor, ("grainbow", "rainbow"))):
@@ -158,6 +183,11 @@ def test_other_methods_are_shown_beside_the_baseline_of_a_task(tmp_path):
     assert row[4].replace("\N{NO-BREAK SPACE}", " ") == said
     wins = stats.mannwhitneyu(x, y).statistic / (len(x) * len(y))
     assert row[5].startswith(f"{wins:.2f}\N{NO-BREAK SPACE}[")
+    drawn = next(b for b in sections["comparison"].blocks if b.kind == "figure")
+    (panel,) = drawn.panels
+    assert panel.alt == "difference of mean area to ppo on near"
+    assert ">gppo<" in panel.svg
+    assert ">ppo<" not in panel.svg, "the baseline is the line at zero"
 
 
 def test_a_baseline_without_runs_is_beside_nothing(tmp_path):

@@ -17,7 +17,7 @@ from gdrl_torchrl.reports.evidence import Arm, Run
 from gdrl_torchrl.reports.page.content import Panel
 from gdrl_torchrl.reports.paper import PaperCurve, paper_method
 from gdrl_torchrl.reports.statistics.averages import interquartile_mean
-from gdrl_torchrl.reports.statistics.bootstrap import estimate
+from gdrl_torchrl.reports.statistics.bootstrap import Estimate, estimate
 
 COLOURS = (
     style.BLUE,
@@ -30,6 +30,8 @@ COLOURS = (
 )
 _DASHES: tuple[Any, ...] = ("-", (0, (1, 1)), (0, (5, 1, 1, 1)))
 """Once all colours are taken."""
+MOST_BANDS = 6
+"""Methods of a drawing up to which each has a band: more of them hide each other."""
 Looks = Mapping[str, Mapping[str, Any]]
 """Colour and dashes by method, as matplotlib names them."""
 COST_LABELS = {
@@ -92,6 +94,29 @@ def scores_panel(name: str, arms: Sequence[Arm], looks: Looks, label: str) -> Pa
     return Panel(name, alt, svg_of(figure, name, alt, titles))
 
 
+def differences_panel(
+    name: str, differences: Mapping[str, Estimate], looks: Looks, label: str
+) -> Panel:
+    """Differences to a baseline, which is the line at zero, with their intervals.
+
+    Args:
+        name: Of the panel.
+        differences: By method.
+        looks: By method.
+        label: What the differences are of.
+    """
+    figure, axes = _new_panel(1.0 + 0.3 * len(differences))
+    axes.axvline(0.0, color=style.INK, lw=1.0)
+    for row, (method, one) in enumerate(differences.items()):
+        colour = looks[method]["color"]
+        axes.plot([one.low, one.high], [row, row], color=colour, lw=2.0)
+        axes.plot(one.value, row, "D", color=colour, mec=style.INK, ms=6)
+    axes.set_yticks(range(len(differences)), list(differences), parse_math=False)
+    axes.set_ylim(len(differences) - 0.5, -0.5)
+    axes.set_xlabel(label, fontsize=9)
+    return Panel(name, label, svg_of(figure, name, label, {}))
+
+
 def curves_panel(
     name: str,
     arms: Sequence[Arm],
@@ -138,7 +163,7 @@ def curves_panel(
             gid = f"run-{row}-{k}"
             titles[gid] = _called(run, arm.method)
             axes.plot(x, y, lw=0.7, alpha=0.4, gid=gid, **looks[arm.method])
-        _draw_band(axes, arm, cost, looks[arm.method])
+        _draw_middle(axes, arm, cost, looks[arm.method], with_band=len(arms) <= MOST_BANDS)
     if not titles:
         return None
     axes.set_ylim(-0.03, 1.03)
@@ -152,11 +177,15 @@ def curves_panel(
     return Panel(name, alt, svg_of(figure, name, alt, titles))
 
 
-def _draw_band(axes: Axes, arm: Arm, cost: str, look: Mapping[str, Any]) -> None:
+def _draw_middle(
+    axes: Axes, arm: Arm, cost: str, look: Mapping[str, Any], *, with_band: bool
+) -> None:
     band = band_of(arm.runs, cost)
     if band is None:
         return
-    axes.fill_between(band.x, band.low, band.high, color=look["color"], alpha=0.18, lw=0)
+    if with_band:
+        colour = look["color"]
+        axes.fill_between(band.x, band.low, band.high, color=colour, alpha=0.18, lw=0)
     axes.plot(band.x, band.middle, lw=2.2, zorder=3, label=arm.method, **look)
 
 
@@ -185,8 +214,9 @@ def profiles_panel(
     """
     figure, axes = _new_panel(3.3)
     for method, (thresholds, share, low, high) in profiles.items():
-        colour = looks[method]["color"]
-        axes.fill_between(thresholds, low, high, color=colour, alpha=0.18, lw=0)
+        if len(profiles) <= MOST_BANDS:
+            colour = looks[method]["color"]
+            axes.fill_between(thresholds, low, high, color=colour, alpha=0.18, lw=0)
         axes.plot(thresholds, share, lw=2.0, label=method, **looks[method])
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(-0.03, 1.03)

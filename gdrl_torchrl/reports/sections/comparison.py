@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gdrl_torchrl.reports.drawing.figures import Looks, profiles_panel
+from gdrl_torchrl.reports.drawing.figures import (
+    MOST_BANDS,
+    Looks,
+    differences_panel,
+    profiles_panel,
+)
 from gdrl_torchrl.reports.evidence import Evidence
 from gdrl_torchrl.reports.page.content import (
     UNKNOWN,
@@ -29,18 +34,18 @@ _THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
 def comparison_section(evidence: Evidence, looks: Looks) -> Section:
     """Probability of improvement by task and over tasks, IQM over tasks, and profiles."""
-    tables = [
+    blocks: list[Table | Figure] = [
         _improvements(evidence, [arm.method for arm in evidence.of_task(task)], (task,))
         for task in evidence.tasks
         if len(evidence.of_task(task)) > 1 and task not in evidence.baselines
     ]
     beside = beside_baseline_table(evidence)
     if beside.rows:
-        tables.insert(0, beside)
+        blocks[:0] = [beside, _differences(evidence, looks)]
     methods = list(evidence.on_all_tasks())
     if len(evidence.tasks) > 1 and len(methods) > 1:
-        tables += [_over_tasks(evidence, methods)]
-        tables += [_improvements(evidence, methods, evidence.tasks)]
+        blocks += [_over_tasks(evidence, methods)]
+        blocks += [_improvements(evidence, methods, evidence.tasks)]
     note = Text(
         "These are of many pairs, not of registered hypotheses: they describe, and an "
         "interval that leaves out no difference, or one half, is no test among so many."
@@ -48,7 +53,7 @@ def comparison_section(evidence: Evidence, looks: Looks) -> Section:
     return Section(
         "comparison",
         "Method against method",
-        (note, *tables, _profiles(evidence, methods, looks)),
+        (note, *blocks, _profiles(evidence, methods, looks)),
     )
 
 
@@ -74,6 +79,25 @@ def beside_baseline_table(evidence: Evidence) -> Table:
         f"{name} than one of the baseline",
         ("task", "method", "baseline", "runs", "difference", "improvement"),
         rows,
+    )
+
+
+def _differences(evidence: Evidence, looks: Looks) -> Figure:
+    """The differences of :func:`beside_baseline_table`, drawn."""
+    name = evidence.words.score_name
+    panels = []
+    for k, (task, baseline) in enumerate(evidence.baselines.items()):
+        base = evidence.arm(task, baseline).scores
+        others = [arm for arm in evidence.of_task(task) if arm.method != baseline]
+        if len(base) and others:
+            found = {arm.method: welch(arm.scores, base)[0] for arm in others}
+            label = f"difference of mean {name} to {baseline} on {task}"
+            panels.append(differences_panel(f"differences-{k}", found, looks, label))
+    return Figure(
+        f"Difference of mean {name} to the baseline of the task, the line at zero, with "
+        "its 95 % interval (Welch).",
+        tuple(panels),
+        evidence.sources_of(list(evidence.baselines)),
     )
 
 
@@ -160,9 +184,10 @@ def _profiles(evidence: Evidence, methods: list[str], looks: Looks) -> Figure:
         panels.append(profiles_panel("profiles", profiles, looks, f"{name}, all tasks"))
     return Figure(
         f"Performance profiles: share of runs whose {name} is above τ, with 95 % bands at "
-        "each τ. A curve that is higher everywhere is that of a better method.",
+        f"each τ where there are no more than {MOST_BANDS} methods. A curve that is higher "
+        "everywhere is that of a better method.",
         tuple(panels),
-        evidence.sources,
+        evidence.sources_of(evidence.tasks),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from gdrl_torchrl.reports.curves import drawn
-from gdrl_torchrl.reports.drawing.figures import Looks, curves_panel
+from gdrl_torchrl.reports.drawing.figures import MOST_BANDS, Looks, curves_panel
 from gdrl_torchrl.reports.evidence import COSTS, Arm, Evidence
 from gdrl_torchrl.reports.page.content import Figure, Section, Table, Text, count
 from gdrl_torchrl.reports.paper import paper, paper_curves, paper_task
@@ -31,18 +31,20 @@ def learning_section(evidence: Evidence, looks: Looks) -> Section:
         ]
         shown = tuple(panel for panel in panels if panel is not None)
         if shown:
-            figures.append(Figure(_caption(task), shown, evidence.sources))
+            sources = evidence.sources_of([task])
+            figures.append(Figure(_caption(task, len(arms)), shown, sources))
     if not figures:
         nothing = Text("These runs have left no curves.")
         return Section("learning", "How success grew", (nothing,))
     return Section("learning", "How success grew", (*figures, _times(evidence)))
 
 
-def _caption(task: str) -> str:
+def _caption(task: str, methods: int) -> str:
+    band = " with its 95 % band" if methods <= MOST_BANDS else ""
     text = (
-        f"{task}: every run is a thin line, the thick one is the interquartile mean with "
-        "its 95 % band at each point, as far as every run has come. A run that failed "
-        "counts as 0, and has no line. Point at a line to see its seed and run."
+        f"{task}: every run is a thin line, the thick one is the interquartile mean{band} "
+        "at each point, as far as every run has come. A run that failed counts as 0, and "
+        "has no line. Point at a line to see its seed and run."
     )
     if paper_task(task) is not None:
         text += (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from gdrl_torchrl.reports.evidence import Arm, Evidence
 from gdrl_torchrl.reports.page.content import Section, Table, Text
 
@@ -10,13 +12,33 @@ def question_section(evidence: Evidence) -> Section:
     """The question, the protocol, and runs that ended, failed or are missing."""
     text = evidence.question or "Nobody has written down a question before these runs."
     facts = Table("What this page is made of", ("what", "is"), list(evidence.facts))
-    runs = Table(
-        "What was run. A run that failed counts as 0.",
-        ("task", "method", "seeds that ended", "failed", "missing"),
-        [(arm.task, arm.method, *_seeds(arm)) for arm in evidence.arms],
-    )
     remarks = tuple(Text(remark) for remark in evidence.remarks)
-    return Section("question", "Question and protocol", (Text(text), facts, runs, *remarks))
+    blocks = (Text(text), facts, *_runs(evidence), *remarks)
+    return Section("question", "Question and protocol", blocks)
+
+
+def _runs(evidence: Evidence) -> list[Text | Table]:
+    """Which runs there are: in a sentence for all methods that have the same ones."""
+    whole = [arm for arm in evidence.arms if _seeds(arm)[1:] == ("none", "none")]
+    usual = Counter(_seeds(arm)[0] for arm in whole).most_common(1)
+    same = [arm for arm in whole if usual and _seeds(arm)[0] == usual[0][0]]
+    if len(same) < 2:
+        same = []
+    rows = [(a.task, a.method, *_seeds(a)) for a in evidence.arms if a not in same]
+    found: list[Text | Table] = []
+    if same:
+        number, _, seeds = _seeds(same[0])[0].partition(": ")
+        found.append(
+            Text(
+                f"{len(same)} of {len(evidence.arms)} pairs of task and method have the "
+                f"same {number} seeds ({seeds}): none failed, none is missing."
+            )
+        )
+    if rows:
+        columns = ("task", "method", "seeds that ended", "failed", "missing")
+        title = "What was run. A run that failed counts as 0."
+        found.append(Table(title, columns, rows))
+    return found
 
 
 def _seeds(arm: Arm) -> tuple[str, str, str]:

@@ -91,7 +91,7 @@ def scores_section(evidence: Evidence, looks: Looks) -> Section:
         f"Every run's {name} (dots; crosses are runs that failed), and the interquartile "
         "mean with its 95 % interval (diamonds). Point at a dot to see its seed and run.",
         panels,
-        evidence.sources,
+        evidence.sources_of(evidence.tasks),
     )
     tables = (reached_table(evidence), costs_table(evidence))
     return Section("scores", "What was reached", (*tables, Text(_known()), figure))
