@@ -22,6 +22,7 @@ from gdrl_torchrl.reports.page.write import markdown_table
 from gdrl_torchrl.reports.sections.comparison import beside_baseline_table, summary_table
 from gdrl_torchrl.reports.sections.elsewhere import elsewhere_table
 from gdrl_torchrl.reports.sections.hypotheses import Outcome, hypotheses_table, outcomes
+from gdrl_torchrl.reports.sections.learning import at_episodes_table
 from gdrl_torchrl.reports.sections.scores import costs_table, reached_table
 from gdrl_torchrl.reports.statistics.averages import interquartile_mean, worst_quartile
 from gdrl_torchrl.reports.statistics.bootstrap import estimate
@@ -62,6 +63,7 @@ TABLES: dict[str, Callable[[Evidence], Table]] = {
     "reached": reached_table,
     "costs": costs_table,
     "summary": summary_table,
+    "at_episodes": at_episodes_table,
     "elsewhere": elsewhere_table,
     "beside_baseline": beside_baseline_table,
 }

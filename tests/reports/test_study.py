@@ -209,6 +209,30 @@ def test_times_to_a_threshold_count_a_crash_as_never(study, tables):
     assert rows["ppo"]["median steps to 0.8"].startswith("not reached")
 
 
+def test_success_at_equal_episodes_is_read_from_the_curves_with_all_steps(study, tables):
+    rows = {r["method"]: r for r in tables("learning", "agent's episodes")}
+    # Of 200,000 steps, 90 an episode, the agent has 0.6 where there is a population.
+    assert rows["ppo"]["agent's episodes"] == rows["gppo"]["agent's episodes"] == "1,333"
+    assert rows["gppo"]["steps in all by then"] == "200,000"
+    found = []
+    with open(study / "curves.csv", newline="") as file:
+        points = [row for row in csv.DictReader(file) if row["method"] == "ppo"]
+    for seed in {point["seed"] for point in points}:
+        own = [p for p in points if p["seed"] == seed]
+        before, after = (
+            next(p for p in order if sign * int(p["agent_episodes"]) >= sign * 1333)
+            for order, sign in ((own, 1), (own[::-1], -1))
+        )
+        x = [int(p["agent_episodes"]) for p in (after, before)]
+        y = [float(p["success_rate"]) for p in (after, before)]
+        part = (1333 - x[0]) / (x[1] - x[0]) if x[1] > x[0] else 0.0
+        found.append(y[0] + part * (y[1] - y[0]))
+    found = sorted([*found, 0.0])  # and the one that failed
+    assert len(found) == 8
+    middle = f"{np.mean(found[2:6]):.3f}"
+    assert rows["ppo"]["success there"].startswith(f"{middle}\N{NO-BREAK SPACE}[")
+
+
 def test_a_row_that_was_changed_by_hand_is_refused(tmp_path):
     folder = write_study(tmp_path, seeds=range(2))
     path = folder / "runs.csv"

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from gdrl_torchrl.reports.curves import drawn
 from gdrl_torchrl.reports.drawing.figures import MOST_BANDS, Looks, curves_panel
-from gdrl_torchrl.reports.evidence import COSTS, Arm, Evidence
-from gdrl_torchrl.reports.page.content import Figure, Section, Table, Text, count
+from gdrl_torchrl.reports.evidence import COSTS, Arm, Evidence, Run
+from gdrl_torchrl.reports.page.content import (
+    Figure,
+    Section,
+    Table,
+    Text,
+    count,
+    with_limits,
+)
 from gdrl_torchrl.reports.paper import paper, paper_curves, paper_task
-from gdrl_torchrl.reports.statistics.bootstrap import Estimate
+from gdrl_torchrl.reports.statistics.averages import interquartile_mean
+from gdrl_torchrl.reports.statistics.bootstrap import Estimate, estimate
 from gdrl_torchrl.reports.statistics.times import Crossing, crossing, median_time
 
 _LEVELS = (0.8, 0.9)
@@ -36,7 +46,11 @@ def learning_section(evidence: Evidence, looks: Looks) -> Section:
     if not figures:
         nothing = Text("These runs have left no curves.")
         return Section("learning", "How success grew", (nothing,))
-    return Section("learning", "How success grew", (*figures, _times(evidence)))
+    tables = [_times(evidence)]
+    at_episodes = at_episodes_table(evidence)
+    if at_episodes.rows:
+        tables.append(at_episodes)
+    return Section("learning", "How success grew", (*figures, *tables))
 
 
 def _caption(task: str, methods: int) -> str:
@@ -73,6 +87,45 @@ def _times(evidence: Evidence) -> Table:
         ("task", "method", *heads),
         rows,
     )
+
+
+def at_episodes_table(evidence: Evidence) -> Table:
+    """Success at as many episodes of the agent, and all steps that it took to get there.
+
+    That is how AAMAS 2020 compares methods. The episodes are those that every run of a
+    task has had; what has no agent of its own has no row.
+    """
+    rows = []
+    for task in evidence.tasks:
+        ended = {
+            arm: [run for run in arm.runs if len(drawn(run, "agent_episodes")[0])]
+            for arm in evidence.of_task(task)
+            if arm.mean("agent_steps") > 0.0
+        }
+        known = {arm: runs for arm, runs in ended.items() if runs}
+        if len(known) < 2:
+            continue
+        last = [drawn(r, "agent_episodes")[0][-1] for runs in known.values() for r in runs]
+        episodes = float(min(last))
+        for arm, runs in known.items():
+            success = [np.interp(episodes, *drawn(run, "agent_episodes")) for run in runs]
+            steps = [_steps_at(run, episodes) for run in runs]
+            success += [0.0] * sum(run.failed for run in arm.runs)
+            middle = estimate([np.array(success)], interquartile_mean)
+            numbers = (count(episodes), with_limits(middle), count(float(np.mean(steps))))
+            rows.append((task, arm.method, *numbers))
+    return Table(
+        "At equal episodes of the agent, as AAMAS 2020 compares: interquartile mean of "
+        f"{evidence.words.curve} with its 95 % interval, and the steps of agent and "
+        "population that it took to get there",
+        ("task", "method", "agent's episodes", "success there", "steps in all by then"),
+        rows,
+    )
+
+
+def _steps_at(run: Run, episodes: float) -> float:
+    x, y = run.curve["agent_episodes"], run.curve["total_steps"]
+    return float(np.interp(episodes, x, y))
 
 
 def _cell(arm: Arm, level: float) -> tuple[str, str]:
