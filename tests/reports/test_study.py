@@ -72,7 +72,7 @@ def test_methods_with_the_same_runs_are_named_in_a_sentence(tmp_path, study):
         ).blocks
 
     whole = question(write_study(tmp_path))
-    said = "4 of 4 pairs of task and method have the same 8 seeds (0 to 7): none failed"
+    said = "All 4 pairs of task and method have the same 8 seeds (0 to 7): none failed"
     assert any(b.kind == "text" and b.text.startswith(said) for b in whole)
     assert sum(b.kind == "table" for b in whole) == 1, "nothing differs"
     some = question(study)

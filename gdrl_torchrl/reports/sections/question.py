@@ -28,10 +28,11 @@ def _runs(evidence: Evidence) -> list[Text | Table]:
     found: list[Text | Table] = []
     if same:
         number, _, seeds = _seeds(same[0])[0].partition(": ")
+        which = f"{len(same)} of {len(evidence.arms)}" if rows else f"All {len(same)}"
         found.append(
             Text(
-                f"{len(same)} of {len(evidence.arms)} pairs of task and method have the "
-                f"same {number} seeds ({seeds}): none failed, none is missing."
+                f"{which} pairs of task and method have the same {number} seeds ({seeds}): "
+                "none failed, none is missing."
             )
         )
     if rows:
