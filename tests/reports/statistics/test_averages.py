@@ -30,6 +30,11 @@ def test_an_example_by_hand():
     assert interquartile_mean([100, 7, 4, -50, 6, 5, 1, 9]) == 5.5
 
 
+def test_a_published_example():
+    # Wikipedia, "Interquartile mean" (data set of twelve), where it is 6.5.
+    assert interquartile_mean([5, 8, 4, 38, 8, 6, 9, 7, 7, 3, 1, 6]) == 6.5
+
+
 def test_tasks_with_different_numbers_of_runs_are_averaged_as_one_list():
     first, second = [0.1, 0.9, 0.4], [0.3, 0.2, 0.8, 0.7, 0.6]
     together = stratified_iqm(np.array(first), np.array(second))
