@@ -23,9 +23,10 @@ LIMITS = {
     "bare_agent_mean": (0.1, 0.7),
     "bare_agent_sd": (0.1, 1.0),
 }
-ANY_PRESET = {"pilot", "paper_indoor", "paper_water", "generalisation"}
-"""Studies that ask what runs cost, repeat those of the papers on the papers' tasks, or take
-policies that succeed in their own worlds to others."""
+ANY_PRESET = {"pilot", "paper_indoor", "paper_water", "generalisation", "ablation"}
+"""Studies that ask what runs cost, repeat those of the papers on the papers' tasks, ask
+what an effect on these is owed to, or take policies that succeed in their own worlds to
+others."""
 TASKS = sorted(set(names_in("task")) - set(task_names()))
 ROWS = {(row.preset, row.criterion): row for row in read_table()}
 every_row = pytest.mark.parametrize(
