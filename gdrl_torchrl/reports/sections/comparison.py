@@ -67,8 +67,7 @@ def beside_baseline_table(evidence: Evidence) -> Table:
         rows += [
             (
                 *(task, arm.method, baseline, f"{len(arm.runs)}, {len(base)}"),
-                with_limits(welch(arm.scores, base)[0]),
-                with_limits(improvement_over_tasks([(arm.scores, base)]), 2),
+                *_beside(arm.scores, base),
             )
             for arm in others
             if len(base)
@@ -110,10 +109,7 @@ def summary_table(evidence: Evidence) -> Table:
         base = evidence.arm(arm.task, baseline).scores
         beside = (UNKNOWN, UNKNOWN)
         if len(base) and arm.method != baseline:
-            beside = (
-                with_limits(welch(arm.scores, base)[0]),
-                with_limits(improvement_over_tasks([(arm.scores, base)]), 2),
-            )
+            beside = _beside(arm.scores, base)
         rows.append(
             (
                 *(arm.task, arm.method, str(len(arm.runs))),
@@ -128,6 +124,12 @@ def summary_table(evidence: Evidence) -> Table:
         ("task", "method", "runs", name, "success at the end", "difference", "improvement"),
         rows,
     )
+
+
+def _beside(scores: np.ndarray, base: np.ndarray) -> tuple[str, str]:
+    """Difference of means and probability of improvement, with their limits."""
+    improvement = improvement_over_tasks([(scores, base)])
+    return with_limits(welch(scores, base)[0]), with_limits(improvement, 2)
 
 
 def _improvements(evidence: Evidence, methods: list[str], tasks: tuple[str, ...]) -> Table:
