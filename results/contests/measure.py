@@ -1,0 +1,173 @@
+"""What a contest is worth: agent, winner and children, scored again on worlds of their own.
+
+    python results/contests/measure.py water 800     # adds to results/contests/water.csv
+    python results/contests/measure.py --table       # prints the table of the README
+
+A run trains as ever; after every contest its members are evaluated on fresh worlds too,
+greedily, which is in no count of steps and changes nothing of the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import statistics
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+
+from gdrl_tasks import Stream, episode_seeds
+from gdrl_torchrl import keys
+from gdrl_torchrl.cli.shared.compose import load_experiment, register_configs
+from gdrl_torchrl.evolution.hooks.contest import PARENT, Contest, Match, Verdict
+from gdrl_torchrl.runs.build import Training, build_training
+
+HERE = Path(__file__).parent
+SETTINGS = {
+    "water": (["experiment=gppo_water", "+regime=little_data"], 400_000),
+    "indoor": (["experiment=grainbow_indoor", "+tuned=rainbow_indoor"], 300_000),
+}
+"""By name: overrides and total steps."""
+WORLDS, WORLDS_OF_CHILD = 400, 100
+BANDS = [(0.0, 0.2), (0.2, 0.8), (0.8, 0.95), (0.95, 1.01)]
+COLUMNS = [
+    *("seed", "contest", "total_steps", "contest_steps"),
+    *("seen_agent", "seen_winner", "switched"),
+    *("agent", "winner", "children_mean", "children_best", "children_sd"),
+]
+
+
+class Measured:
+    """A contest whose members are scored again."""
+
+    def __init__(self, contest: Contest) -> None:
+        self.contest = contest
+        self.rows: list[dict[str, float]] = []
+
+    def __call__(self, match: Match) -> Verdict:
+        """Let the members compete, then look."""
+        verdict = self.contest(match)
+        self.rows.append(self.look(match, verdict))
+        return verdict
+
+    def look(self, match: Match, verdict: Verdict) -> dict[str, float]:
+        """What the contest saw, and what is so."""
+
+        def rates(members: list[int], worlds: int, first: int) -> list[float]:
+            # Worlds of the winner are not those that the children were looked at on.
+            seeds = episode_seeds(Stream.EVALUATION, len(self.rows), first, worlds)
+            seeds = torch.from_numpy(seeds)
+            scores = match.evaluator.evaluate(match.population[members], seeds=seeds)
+            return cast(list[float], scores[keys.SUCCESS_RATE].tolist())
+
+        seen = verdict.scores[keys.SUCCESS_RATE]
+        agent, winner = rates([PARENT, verdict.winner], WORLDS, 0)
+        children = rates(
+            list(range(1, match.population.batch_size[0])), WORLDS_OF_CHILD, WORLDS
+        )
+        # Chance in the episodes widens the scatter of children; what is left is their own.
+        chance = statistics.fmean(r * (1.0 - r) / (WORLDS_OF_CHILD - 1) for r in children)
+        own = max(statistics.variance(children) - chance, 0.0)
+        return {
+            "contest": len(self.rows),
+            "contest_steps": int(verdict.scores[keys.FRAMES].sum()),
+            "seen_agent": float(seen[PARENT]),
+            "seen_winner": float(seen[verdict.winner]),
+            "switched": int(verdict.winner != PARENT),
+            "agent": agent,
+            "winner": winner,
+            "children_mean": statistics.fmean(children),
+            "children_best": max(children),
+            "children_sd": own**0.5,
+        }
+
+
+def train(overrides: list[str], total_steps: int, seed: int) -> list[dict]:
+    """Rows of a run."""
+    config = load_experiment([*overrides, f"seed={seed}", "simulation.num_threads=1"])
+    torch.manual_seed(seed)
+    training = build_training(config)
+    hook = cast(Any, training.evolution)
+    measured = Measured(hook.contest)
+    hook.contest = measured
+
+    def after_a_step() -> None:
+        spent = _total_steps(training)
+        for row in measured.rows:
+            row.setdefault("total_steps", spent)
+        if spent >= total_steps:
+            training.loop.request_stop()
+
+    training.loop.register_op("post_steps", after_a_step)
+    try:
+        training.loop.train()
+    finally:
+        training.close()
+    return [{"seed": seed} | row for row in measured.rows]
+
+
+def _total_steps(training: Training) -> int:
+    counts = cast(Any, training.evolution).counts
+    return training.loop.collected_frames + counts.steps
+
+
+def table(name: str) -> list[str]:
+    """Lines of a setting's table: means over contests, by success of the agent."""
+    with (HERE / f"{name}.csv").open(newline="") as lines:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(lines)]
+    found = []
+    for low, high in BANDS:
+        band = [row for row in rows if low <= row["agent"] < high]
+        if not band:
+            continue
+
+        def mean(of: Any, rows: list[dict] = band) -> float:
+            return statistics.fmean(of(row) for row in rows)
+
+        gains = [row["winner"] - row["agent"] for row in band]
+        error = statistics.stdev(gains) / len(gains) ** 0.5 if len(gains) > 1 else 0.0
+        cells = [
+            name,
+            f"{low:g} to {min(high, 1.0):g}",
+            str(len(band)),
+            f"{mean(lambda r: r['switched']):.2f}",
+            f"{mean(lambda r: r['seen_winner'] - r['seen_agent']):+.3f}",
+            f"{statistics.fmean(gains):+.3f} ({error:.3f})",
+            f"{mean(lambda r: r['children_mean'] - r['agent']):+.3f}",
+            f"{mean(lambda r: r['children_sd']):.3f}",
+            f"{mean(lambda r: r['contest_steps']):,.0f}",
+        ]
+        found.append(f"| {' | '.join(cells)} |")
+    return found
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("setting", nargs="?", choices=SETTINGS)
+    parser.add_argument("seeds", type=int, nargs="*")
+    parser.add_argument("--table", action="store_true")
+    options = parser.parse_args()
+    if options.table:
+        names = [name for name in SETTINGS if (HERE / f"{name}.csv").exists()]
+        sys.stdout.writelines(f"{line}\n" for name in names for line in table(name))
+        return
+    register_configs()
+    file = HERE / f"{options.setting}.csv"
+    for seed in options.seeds:
+        rows = train(*SETTINGS[options.setting], seed)
+        is_new = not file.exists()
+        with file.open("a", newline="") as lines:
+            writer = csv.DictWriter(lines, COLUMNS, lineterminator="\n")
+            if is_new:
+                writer.writeheader()
+            writer.writerows(
+                {k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()}
+                for row in rows
+            )
+
+
+if __name__ == "__main__":
+    main()
