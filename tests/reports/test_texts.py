@@ -9,15 +9,17 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ALGORITHMS = sorted((ROOT / "docs" / "algorithms").glob("*.md"))
+WHOLE = [ROOT / "README.md", ROOT / "docs" / "findings.md"]
 MARKED = re.compile(r"<!-- gdrl [^>]*-->.*?<!-- / -->", re.DOTALL)
 NOT_SAID = re.compile(
-    r"```.*?```|`[^`]*`|\]\([^)]*\)|^\[[^\]]*\]: [^\n]*$", re.DOTALL | re.MULTILINE
+    r"```.*?```|`[^`]*`|\]\([^)]*\)|^\[[^\]]*\]: [^\n]*$|Python 3\.11 or 3\.12",
+    re.DOTALL | re.MULTILINE,
 )
 FIGURE = re.compile(r"\d+\.\d+|\d+ ?%")
 
 
 def typed_figures(text):
-    """Numbers with decimals and percentages outside of marks, code and links."""
+    """Numbers with decimals and percentages outside of marks, code, links and versions."""
     return FIGURE.findall(NOT_SAID.sub("", MARKED.sub("", text)))
 
 
@@ -30,6 +32,11 @@ def test_results_of_algorithms_come_from_studies_alone(page):
     results = results_of(page)
     assert results.strip()
     assert not typed_figures(results)
+
+
+@pytest.mark.parametrize("text", WHOLE, ids=lambda page: page.stem)
+def test_figures_of_readme_and_findings_come_from_studies_alone(text):
+    assert not typed_figures(text.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(
