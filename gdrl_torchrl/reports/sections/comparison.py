@@ -10,7 +10,7 @@ from gdrl_torchrl.reports.drawing.figures import (
     differences_panel,
     profiles_panel,
 )
-from gdrl_torchrl.reports.evidence import Evidence
+from gdrl_torchrl.reports.evidence import Arm, Evidence
 from gdrl_torchrl.reports.page.content import (
     UNKNOWN,
     Figure,
@@ -60,18 +60,14 @@ def comparison_section(evidence: Evidence, looks: Looks) -> Section:
 def beside_baseline_table(evidence: Evidence) -> Table:
     """A row for each method beside the baseline of its task."""
     name = evidence.words.score_name
-    rows = []
-    for task, baseline in evidence.baselines.items():
-        base = evidence.arm(task, baseline).scores
-        others = [arm for arm in evidence.of_task(task) if arm.method != baseline]
-        rows += [
-            (
-                *(task, arm.method, baseline, f"{len(arm.runs)}, {len(base)}"),
-                *_beside(arm.scores, base),
-            )
-            for arm in others
-            if len(base)
-        ]
+    rows = [
+        (
+            *(task, arm.method, base.method, f"{len(arm.runs)}, {len(base.runs)}"),
+            *_beside(arm.scores, base.scores),
+        )
+        for task, base, others in _with_baselines(evidence)
+        for arm in others
+    ]
     return Table(
         f"Every method beside the baseline of its task: difference of mean {name} with its "
         "95 % interval (Welch), and the probability that a run of the method has a higher "
@@ -85,19 +81,27 @@ def _differences(evidence: Evidence, looks: Looks) -> Figure:
     """The differences of :func:`beside_baseline_table`, drawn."""
     name = evidence.words.score_name
     panels = []
-    for k, (task, baseline) in enumerate(evidence.baselines.items()):
-        base = evidence.arm(task, baseline).scores
-        others = [arm for arm in evidence.of_task(task) if arm.method != baseline]
-        if len(base) and others:
-            found = {arm.method: welch(arm.scores, base)[0] for arm in others}
-            label = f"difference of mean {name} to {baseline} on {task}"
-            panels.append(differences_panel(f"differences-{k}", found, looks, label))
+    for k, (task, base, others) in enumerate(_with_baselines(evidence)):
+        found = {arm.method: welch(arm.scores, base.scores)[0] for arm in others}
+        label = f"difference of mean {name} to {base.method} on {task}"
+        panels.append(differences_panel(f"differences-{k}", found, looks, label))
     return Figure(
         f"Difference of mean {name} to the baseline of the task, the line at zero, with "
         "its 95 % interval (Welch).",
         tuple(panels),
         evidence.sources_of(list(evidence.baselines)),
     )
+
+
+def _with_baselines(evidence: Evidence) -> list[tuple[str, Arm, list[Arm]]]:
+    """Tasks whose baseline and another method have runs: the task, its baseline, others."""
+    found = []
+    for task, baseline in evidence.baselines.items():
+        arms = evidence.of_task(task)
+        others = [arm for arm in arms if arm.method != baseline]
+        if others and len(others) < len(arms):
+            found.append((task, evidence.arm(task, baseline), others))
+    return found
 
 
 def summary_table(evidence: Evidence) -> Table:
