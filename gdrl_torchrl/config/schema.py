@@ -95,6 +95,8 @@ class LoggerConfig:
 
     tensorboard: bool = True
     """Whether curves are written for TensorBoard too."""
+    figures: bool = True
+    """Whether the learning curve and trajectories are drawn at the end: three seconds."""
     video_episodes: int = within(0, least=0, most=1000)
     """Held-out episodes in a video at the end; 0 makes none: gdrl-video does later."""
 

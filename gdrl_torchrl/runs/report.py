@@ -105,13 +105,14 @@ def report_run(
         task, act, seeds[:_TRAJECTORIES_DRAWN], num_threads=threads
     )
     save_trajectories(directory.path, trajectories)
-    # Imported here because matplotlib takes a second to import.
-    from gdrl_torchrl.pictures.figures import draw_learning_curve, draw_trajectories
+    if config.logger.figures:
+        # Imported here because matplotlib takes a second to import.
+        from gdrl_torchrl.pictures.figures import draw_learning_curve, draw_trajectories
 
-    with _nice_to_have("learning curve"):
-        draw_learning_curve(directory.path)
-    with _nice_to_have("trajectories"):
-        draw_trajectories(directory.path)
+        with _nice_to_have("learning curve"):
+            draw_learning_curve(directory.path)
+        with _nice_to_have("trajectories"):
+            draw_trajectories(directory.path)
     with _nice_to_have("result in TensorBoard"):
         _show_result(directory, config, record)
     if config.logger.video_episodes:

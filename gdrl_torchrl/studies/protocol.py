@@ -61,5 +61,6 @@ def overrides_of(config: StudyConfig, task: str, method: str) -> list[str]:
         # Each run has one processor, so that their wall times can be compared.
         "simulation.num_threads=1",
         "logger.tensorboard=false",
+        "logger.figures=false",
         "logger.video_episodes=0",
     ]

@@ -154,6 +154,16 @@ def test_pictures_that_cannot_be_made_do_not_fail_a_run(part, tiny, monkeypatch,
     assert "the run is complete without it" in said
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_figures_are_drawn_only_if_asked_for(asked, tiny, monkeypatch):
+    drawn = []
+    for name in ("draw_learning_curve", "draw_trajectories"):
+        monkeypatch.setattr(figures, name, drawn.append)
+    path = run_experiment(tiny(f"logger.figures={asked}"))
+    assert drawn == [path, path] * asked
+    assert state_of(path) == "done"
+
+
 def no_more_files():
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, most))

@@ -144,6 +144,7 @@ class Search:
             f"evaluation.seed={config.evaluation_seed}",
             f"evaluation.episodes={config.episodes}",
             "logger.tensorboard=false",
+            "logger.figures=false",
             "logger.video_episodes=0",
         ]
 
