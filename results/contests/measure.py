@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import statistics
 import sys
 from pathlib import Path
@@ -114,30 +115,37 @@ def _total_steps(training: Training) -> int:
 
 
 def table(name: str) -> list[str]:
-    """Lines of a setting's table: means over contests, by success of the agent."""
+    """Lines of a setting's table, by success of the agent before the contest."""
     with (HERE / f"{name}.csv").open(newline="") as lines:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(lines)]
+    after = [row for row in itertools.pairwise(rows) if row[0]["seed"] == row[1]["seed"]]
     found = []
     for low, high in BANDS:
         band = [row for row in rows if low <= row["agent"] < high]
         if not band:
             continue
-
-        def mean(of: Any, rows: list[dict] = band) -> float:
-            return statistics.fmean(of(row) for row in rows)
-
         gains = [row["winner"] - row["agent"] for row in band]
-        error = statistics.stdev(gains) / len(gains) ** 0.5 if len(gains) > 1 else 0.0
+        error = statistics.stdev(gains) / len(gains) ** 0.5
+        steps = [row["contest_steps"] for row in band]
+        # Until the next contest the agent learns alone.
+        alone = [pair for pair in after if low <= pair[0]["agent"] < high]
+        learnt = [then["agent"] - now["winner"] for now, then in alone]
+        taken = [
+            then["total_steps"] - then["contest_steps"] - now["total_steps"]
+            for now, then in alone
+        ]
         cells = [
             name,
             f"{low:g} to {min(high, 1.0):g}",
             str(len(band)),
-            f"{mean(lambda r: r['switched']):.2f}",
-            f"{mean(lambda r: r['seen_winner'] - r['seen_agent']):+.3f}",
+            f"{statistics.fmean(row['switched'] for row in band):.2f}",
+            f"{statistics.fmean(r['seen_winner'] - r['seen_agent'] for r in band):+.3f}",
             f"{statistics.fmean(gains):+.3f} ({error:.3f})",
-            f"{mean(lambda r: r['children_mean'] - r['agent']):+.3f}",
-            f"{mean(lambda r: r['children_sd']):.3f}",
-            f"{mean(lambda r: r['contest_steps']):,.0f}",
+            f"{statistics.fmean(r['children_mean'] - r['agent'] for r in band):+.3f}",
+            f"{statistics.fmean(row['children_sd'] for row in band):.3f}",
+            f"{statistics.fmean(steps):,.0f}",
+            f"{1e4 * sum(gains) / sum(steps):+.3f}",
+            f"{1e4 * sum(learnt) / sum(taken):+.3f}",
         ]
         found.append(f"| {' | '.join(cells)} |")
     return found
