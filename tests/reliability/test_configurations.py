@@ -224,7 +224,7 @@ def assert_names_what_is_wrong(said, made):
 
 
 @pytest.mark.parametrize(
-    "examples", [pytest.param(5), pytest.param(200, marks=pytest.mark.full)]
+    "examples", [pytest.param(8), pytest.param(200, marks=pytest.mark.full)]
 )
 def test_any_configuration_runs_or_is_refused(examples):
     ended = collections.Counter()
@@ -252,5 +252,5 @@ def test_any_configuration_runs_or_is_refused(examples):
 
     try_one()
     sys.stdout.write(f"{dict(ended)}\n")
-    assert ended["ran"] >= examples // 4, ended
-    assert ended["refused"] >= examples // 4, ended
+    assert ended["ran"] >= examples / 4, ended
+    assert ended["refused"] >= examples / 4, ended
