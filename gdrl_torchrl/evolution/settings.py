@@ -73,6 +73,12 @@ class EvolutionConfig:
     """Observations of the last batch that this is measured over."""
     window_episodes: int = within(100, least=1, most=MOST_EPISODES)
     """Last training episodes that success is measured over."""
+    success_range: list[float] = dataclasses.field(
+        default_factory=lambda: [0.0, 1.0],
+        metadata=limits(lengths=(2, 2), least=0.0, most=1.0),
+    )
+    """Success of the window, both ends included, outside which an evaluation that is due
+    waits. Contests cost most where members fail, and give nothing where all succeed."""
     fitness: str = among("goals", _GOALS_OR_RETURN)
     """What members are scored by: ``goals`` that they reach, or the mean ``return``."""
     contest: str = among("full", ("full", "paired", "copies", "random"))
@@ -129,6 +135,10 @@ class EvolutionConfig:
             )
         if self.thresholds != sorted(set(self.thresholds)):
             raise ValueError(f"evolution.thresholds={self.thresholds} must increase")
+        if self.success_range != sorted(self.success_range):
+            raise ValueError(
+                f"evolution.success_range={self.success_range} must not decrease"
+            )
         # The test draws thousands of signs for each of its episodes, all at once.
         if self.test_trials * self.num_looks > _MOST_TRIALS:
             raise ValueError(

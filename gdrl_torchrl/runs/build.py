@@ -159,6 +159,7 @@ def _genetic(
         ),
         watch=watch,
         period_episodes=settings.period_episodes,
+        success_range=settings.success_range,
         rate_of=settings.rate_of,
         seed=config.seed,
     )

@@ -305,10 +305,11 @@ def test_defaults_of_the_schema_are_those_of_the_parts():
     parts = (GeneticHook, MutatedChildren, FullContest, HandOver, EpisodeWatch)
     hook = {name: default for part in parts for name, default in defaults_of(part).items()}
     shared = {field.name for field in dataclasses.fields(evolution)} & hook.keys()
-    shared -= {"mutation", "crossover", "contest"}
+    shared -= {"mutation", "crossover", "contest", "success_range"}
     assert len(shared) >= 6
     for name in shared:
         assert getattr(evolution, name) == hook[name], name
+    assert tuple(evolution.success_range) == hook["success_range"]
     evaluator = defaults_of(PopulationEvaluator)
     assert evolution.num_trials == evaluator["num_episodes"]
     assert evolution.fitness == evaluator["fitness"]

@@ -63,6 +63,7 @@ ORDINARY = {
     "algorithm.num_validated": (0, 1, 3),
     "evolution.rates": ([0.5, 0.2, 0.1], [0.2], [1.0, 0.0]),
     "evolution.thresholds": ([0.4, 0.8], [], [0.5], [0.0, 1.0], [0.8, 0.4]),
+    "evolution.success_range": ([0.0, 1.0], [0.2, 0.9], [0.5, 0.5], [0.9, 0.2]),
     "evolution.mutation": ("bernoulli", "pseudocode", "scaled"),
     "evolution.crossover": ("none", "n_point"),
     "evolution.tie_rule": ("return_then_parent", "parent", "child", "none"),

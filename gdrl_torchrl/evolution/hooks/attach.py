@@ -29,6 +29,7 @@ NOT_ATTACHED = (
     *("divergence", "divergence_rows", "critic_on_switch", "updates_for_shared"),
 )
 """Settings that need more than a trainer shows: its replay buffer, its worlds, a critic."""
+SEQUENCES = ("rates", "thresholds", "success_range")
 
 
 class AttachedGeneticHook(TrainerHookBase):
@@ -50,7 +51,8 @@ class AttachedGeneticHook(TrainerHookBase):
         **settings: Fields of
             :class:`~gdrl_torchrl.evolution.settings.EvolutionConfig`, but for
             :data:`NOT_ATTACHED`. Where the environment has no flag of success, children
-            are mutated with the first of ``rates``.
+            are mutated with the first of ``rates``, and with a ``success_range`` from
+            above 0 none ever is.
 
     Attributes:
         genetic: The hook that was made, None before :meth:`register`.
@@ -80,7 +82,7 @@ class AttachedGeneticHook(TrainerHookBase):
         if unknown := sorted(settings.keys() & set(NOT_ATTACHED)):
             raise TypeError(f"{unknown} cannot be given to a hook that is attached")
         # Configurations have sequences of a kind of their own.
-        settings |= {n: [*settings[n]] for n in ("rates", "thresholds") if n in settings}
+        settings |= {n: [*settings[n]] for n in SEQUENCES if n in settings}
         self.settings = EvolutionConfig(fitness=fitness, target_tau=target_tau, **settings)
         self.genetic: GeneticHook | None = None
         self._options: dict[str, Any] = {"seed": seed, "on_evaluation": on_evaluation}
@@ -124,6 +126,7 @@ class AttachedGeneticHook(TrainerHookBase):
             ),
             watch=EpisodeWatch(self.settings.window_episodes),
             period_episodes=self.settings.period_episodes,
+            success_range=self.settings.success_range,
             rate_of=self.settings.rate_of,
             **self._options,
         )

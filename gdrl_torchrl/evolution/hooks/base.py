@@ -165,11 +165,15 @@ class PopulationHook(Evolution, TrainerHookBase):
         trainer.register_op("post_steps", self)
 
     def __call__(self) -> None:
-        """Evaluate if enough episodes have ended since the last evaluation."""
-        ended = self.watch.episodes_completed
-        if ended - self._episodes_at_evaluation >= self.period_episodes:
-            self._episodes_at_evaluation = ended
+        """Evaluate if that is due."""
+        if self.is_due():
+            self._episodes_at_evaluation = self.watch.episodes_completed
             self.evaluate()
+
+    def is_due(self) -> bool:
+        """Whether enough episodes have ended since the last evaluation."""
+        since = self.watch.episodes_completed - self._episodes_at_evaluation
+        return since >= self.period_episodes
 
     def state_dict(self) -> dict[str, Any]:
         """As of the base, and when the last evaluation was."""

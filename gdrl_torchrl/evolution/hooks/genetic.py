@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
@@ -31,12 +32,15 @@ class GeneticHook(PopulationHook):
             over the same episodes.
         hand_over: What happens on a switch; None replaces the agent's weights.
         period_episodes: Training episodes between evaluations.
+        success_range: Success of the window, from the first to the second, both
+            included, outside which an evaluation that is due waits until the agent is
+            back in it.
         rate_of: What the mutation probability follows: success of the agent in the
             ``window`` of its training episodes, or of its copy in the last ``contest``.
         **options: As of :class:`~gdrl_torchrl.evolution.hooks.base.Evolution`.
 
     Raises:
-        ValueError: If ``period_episodes`` < 1.
+        ValueError: If ``period_episodes`` < 1, or ``success_range`` decreases.
     """
 
     def __init__(
@@ -48,10 +52,14 @@ class GeneticHook(PopulationHook):
         hand_over: HandOver | None = None,
         *,
         period_episodes: int = 50,
+        success_range: Sequence[float] = (0.0, 1.0),
         rate_of: str = "window",
         **options: Any,
     ) -> None:
+        if success_range[0] > success_range[1]:
+            raise ValueError(f"success_range={success_range} must not decrease")
         super().__init__(actor, evaluator, period_episodes=period_episodes, **options)
+        self.success_range = tuple(success_range)
         self.breeding: Breeding = MutatedChildren() if breeding is None else breeding
         self.contest: Contest = FullContest() if contest is None else contest
         self.hand_over = HandOver() if hand_over is None else hand_over
@@ -64,6 +72,14 @@ class GeneticHook(PopulationHook):
         super().register(trainer, name)
         trainer.register_op("batch_process", self.breeding.observe)
         trainer.register_op("batch_process", self.value_shift.observe)
+
+    def is_due(self) -> bool:
+        """As of the base, and whether the agent's success is in ``success_range``."""
+        if not super().is_due():
+            return False
+        low, high = self.success_range
+        # The window is empty as long as the very first episode runs.
+        return low <= (self.watch.window.running_rate or 0.0) <= high
 
     def evaluate(self) -> GeneticEvaluation:
         """Make children, score them with the agent's copy, install the winner."""

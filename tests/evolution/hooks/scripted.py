@@ -68,6 +68,7 @@ def hook_of(
         hand_over_of(settings, actor, optimizer=optimizer, critic=critic),
         watch=EpisodeWatch(settings.window_episodes),
         period_episodes=settings.period_episodes,
+        success_range=settings.success_range,
         rate_of=settings.rate_of,
         on_evaluation=on_evaluation,
     )

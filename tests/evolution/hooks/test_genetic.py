@@ -46,6 +46,28 @@ def test_one_evaluation_at_a_batch_boundary_however_many_periods_have_passed(act
     assert evaluator.num_evaluations == 1
 
 
+@pytest.mark.parametrize(
+    ("episodes", "evaluations"),
+    [
+        ("0+1+2-3-", 1),
+        ("0+1+2+3-", 1),
+        ("0+1+2+3+", 0),
+        ("0+1-2-3-", 0),
+        ("0+1+2+3+4-", 1),
+        ("0+1-2-3-4+5+", 1),
+    ],
+)
+def test_an_evaluation_waits_until_success_is_in_its_range(episodes, evaluations, actor):
+    evaluator = ScriptedEvaluator(PARENT_WINS)
+    hook = hook_of(
+        actor, evaluator, period_episodes=4, window_episodes=4, success_range=[0.5, 0.75]
+    )
+    for start in range(0, len(episodes), 2):
+        hook.watch.observe(batch_of(episodes[start : start + 2]))
+        hook()
+    assert evaluator.num_evaluations == evaluations
+
+
 def test_a_trainer_that_collects_asynchronously_is_refused(actor):
     class Asynchronous:
         async_collection = True
@@ -146,6 +168,7 @@ def test_a_restored_hook_goes_on_identically(actor_of):
     [
         ({"num_children": 0}, "num_children=0"),
         ({"period_episodes": 0}, "period_episodes=0"),
+        ({"success_range": [0.9, 0.2]}, "success_range="),
         ({"optimizer_on_switch": "reset"}, "optimizer_on_switch='reset'"),
         ({"critic_on_switch": "reset"}, "critic_on_switch='reset'"),
         ({"window_episodes": 0}, "window_episodes=0"),

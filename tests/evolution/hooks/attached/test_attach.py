@@ -192,6 +192,7 @@ def test_options_reach_the_hook_and_its_evaluator(actor_of):
         rates=[0.5, 0.2],
         thresholds=[0.6],
         window_episodes=11,
+        success_range=[0.2, 0.9],
         tie_rule="parent",
         own_share=0.25,
         seed=5,
@@ -208,6 +209,7 @@ def test_options_reach_the_hook_and_its_evaluator(actor_of):
     assert (breeding.mutation, breeding.std) == (scaled_mutation, 0.3)
     assert [breeding.schedule(rate) for rate in (0.5, 0.6)] == [0.5, 0.2]
     assert genetic.watch.window.size == 11
+    assert genetic.success_range == (0.2, 0.9)
     assert genetic.hand_over.own_share == 0.25
     assert genetic.contest.tie_rule == "parent"
     assert genetic.generator.initial_seed() == 5
