@@ -68,10 +68,12 @@ def median_time(crossings: list[Crossing]) -> Estimate:
         # Where all or none have arrived the band has no width: it is NaN there.
         warnings.simplefilter("ignore", RuntimeWarning)
         band = survival.confidence_interval(CONFIDENCE, method="log-log")
-    times = survival.quantiles
+    times, left = survival.quantiles, survival.probabilities
+    # Nothing is below 0, which is what is left when the last one has arrived.
+    low = np.where(left > 0.0, band.low.probabilities, 0.0)
     return Estimate(
-        _first(times, survival.probabilities),
-        _first(times, band.low.probabilities),
+        _first(times, left),
+        _first(times, low),
         _first(times, band.high.probabilities),
     )
 

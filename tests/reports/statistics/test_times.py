@@ -61,6 +61,11 @@ def test_limits_are_where_the_band_passes_one_half():
     assert (found.low, found.value, found.high) == (10.0 * low, 50.0, 10.0 * high)
 
 
+def test_the_median_is_within_its_limits_where_all_arrive_at_once():
+    found = median_time(times(20, 20, 20, 20, 20))
+    assert (found.low, found.value, found.high) == (20.0, 20.0, math.inf)
+
+
 def test_a_curve_crosses_at_its_first_point_above():
     x = np.array([10.0, 20.0, 30.0])
     assert crossing(x, np.array([0.1, 0.8, 0.5]), 0.8) == Crossing(20.0, True)
