@@ -19,13 +19,14 @@ COSTS = ("agent_steps", "population_steps", "total_steps", "wall_s", "agent_epis
 class KeptPolicies:
     """Keeps the policy at equal steps of a budget; they are evaluated at the run's end.
 
-    A policy is kept as soon as a step of training ends at or after its mark. A step that
-    passes several marks, as a large evaluation does, keeps its policy for each.
+    What is kept for a mark is the policy that the run had by then: what an update or a
+    contest that ends later will make of it is not known yet. A contest that passes
+    several marks, or the end of the budget, leaves them the policy of before it.
 
     Args:
         count: How many are kept; the last one is that at the end of the budget.
         total_steps: The budget, steps of agent and populations.
-        actor: The agent's policy.
+        actor: The agent's policy, as it is before the first step.
         costs: The run's costs so far, by the names in :data:`COSTS`.
         result: What the run would end with in place of the agent's weights: a genome
             ``[]``, or None.
@@ -33,10 +34,13 @@ class KeptPolicies:
     Examples:
         >>> spent = dict.fromkeys(COSTS, 0.0)
         >>> kept = KeptPolicies(4, 100, nn.Linear(3, 2), lambda: spent)
-        >>> spent["total_steps"] = 60.0
-        >>> kept()
-        >>> len(kept.points), kept.genomes()["weight"].shape
-        (2, torch.Size([2, 2, 3]))
+        >>> for steps in (20.0, 60.0):
+        ...     spent["total_steps"] = steps
+        ...     kept()
+        >>> [point["total_steps"] for point in kept.points]
+        [20.0, 20.0]
+        >>> kept.genomes()["weight"].shape
+        torch.Size([2, 2, 3])
     """
 
     def __init__(
@@ -51,18 +55,33 @@ class KeptPolicies:
         self.points: list[dict[str, float]] = []
         self._actor, self._costs, self._result = actor, costs, result
         self._genomes: list[TensorDictBase] = []
+        self._last: tuple[dict[str, float], TensorDictBase]
+        self._last = dict.fromkeys(COSTS, 0.0), self._genome()
 
     def register(self, loop: TrainingLoop) -> None:
         """Register with a loop, after what changes the policy and before what saves."""
+        # Between an update and a contest the policy is one of its own.
+        loop.register_op("post_optim", self)
         loop.register_op("post_steps", self)
 
     def __call__(self) -> None:
-        """Keep the policy for every mark that was reached since the last step."""
+        """Keep for every mark that was passed the policy of before, and note this one."""
         costs = self._costs()
-        reached = int(costs["total_steps"] * self.count // self.total_steps)
-        while len(self.points) < min(reached, self.count):
-            self.points.append({name: costs[name] for name in COSTS})
-            self._genomes.append(self._genome())
+        steps = costs["total_steps"]
+        while len(self.points) < self.count and self._mark() < steps:
+            self._keep()
+        self._last = {name: costs[name] for name in COSTS}, self._genome()
+        if len(self.points) < self.count and self._mark() == steps:
+            self._keep()
+
+    def _mark(self) -> float:
+        """Total steps of the next mark."""
+        return (len(self.points) + 1) * self.total_steps / self.count
+
+    def _keep(self) -> None:
+        point, genome = self._last
+        self.points.append(dict(point))
+        self._genomes.append(genome)
 
     def genomes(self) -> TensorDictBase:
         """All parameters of the kept policies, ``[K]``, in the order of their marks."""
@@ -72,10 +91,13 @@ class KeptPolicies:
     def state_dict(self) -> dict[str, Any]:
         """The policies so far, and the budget that their marks are of."""
         genomes = self.genomes().to_dict() if self._genomes else None
+        point, last = self._last
         return {
             "marks": [self.count, self.total_steps],
             "points": [dict(point) for point in self.points],
             "genomes": genomes,
+            "last_point": dict(point),
+            "last_genome": last.to_dict(),
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -96,6 +118,8 @@ class KeptPolicies:
         if genomes is not None:
             stacked = TensorDict(genomes, batch_size=[len(self.points)])
             self._genomes = [genome.clone() for genome in stacked]
+        last = TensorDict(state_dict["last_genome"], batch_size=[])
+        self._last = dict(state_dict["last_point"]), last
 
     def _genome(self) -> TensorDictBase:
         # All parameters: those that no greedy fitness sees matter when actions are drawn.

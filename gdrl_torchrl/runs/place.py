@@ -21,7 +21,7 @@ from gdrl_torchrl.files.errors import RunDirectoryError
 
 _logger = logging.getLogger(__name__)
 
-RUN_VERSION = 3
+RUN_VERSION = 4
 """Version of what runs compute and of the state that they go on from.
 
 Raised whenever a change of the code makes ``params_sha256`` of any experiment another one,

@@ -143,7 +143,7 @@ def test_a_policy_of_several_marks_has_one_result_and_others_their_own(
 ):
     task, actor, spent = easy_task_for(), actor_of("tanh_normal"), {}
     kept = KeptPolicies(4, 100, actor, lambda: dict.fromkeys(COSTS, 0.0) | spent)
-    for steps in (25, 80, 100):
+    for steps in (25, 40, 100):
         spent["total_steps"] = steps
         for parameter in actor.parameters():
             nn.init.normal_(parameter)
@@ -151,7 +151,7 @@ def test_a_policy_of_several_marks_has_one_result_and_others_their_own(
     config = compose(["experiment=gppo_water"])
     config.evaluation.episodes, config.evaluation.num_worlds = 40, 20
     points = evaluate_kept(task, actor, kept, config)
-    assert [point["total_steps"] for point in points] == [25, 80, 80, 100]
+    assert [point["total_steps"] for point in points] == [25, 40, 40, 100]
     assert [point["point"] for point in points] == [1, 2, 3, 4]
     rates = []
     for genome in kept.genomes():
