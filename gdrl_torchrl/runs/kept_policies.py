@@ -56,7 +56,7 @@ class KeptPolicies:
         self._actor, self._costs, self._result = actor, costs, result
         self._genomes: list[TensorDictBase] = []
         self._last: tuple[dict[str, float], TensorDictBase]
-        self._last = dict.fromkeys(COSTS, 0.0), self._genome()
+        self._last = dict.fromkeys(COSTS, 0), self._genome()
 
     def register(self, loop: TrainingLoop) -> None:
         """Register with a loop, after what changes the policy and before what saves."""

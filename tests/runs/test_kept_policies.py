@@ -43,6 +43,8 @@ def test_for_every_mark_the_policy_is_kept_that_the_run_had_by_then(steps, had):
     train(kept, actor, spent, *steps)
     assert kept.genomes()["weight"][:, 0, 0].tolist() == had
     assert [point["total_steps"] for point in kept.points] == had
+    # Numbers of steps are whole ones, or a curve's file is refused.
+    assert all(isinstance(point["total_steps"], int) for point in kept.points)
 
 
 def test_a_contest_that_passes_a_mark_leaves_it_the_policy_of_before_the_contest():
