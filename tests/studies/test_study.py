@@ -53,7 +53,7 @@ def test_results_are_those_of_the_runs(undisturbed):
         config = undisturbed.config_of(job)
         path = directory_of(config).path
         told, curve = read_evaluation(path), read_curve(path)
-        assert row["success_rate"] == told["success_rate"] == curve[-1]["success_rate"]
+        assert row["success_rate"] == told["success_rate"]
         assert row["success_rate_sampled"] == told["success_rate_sampled"]
         assert row["area"] == pytest.approx(sum(p["success_rate"] for p in curve) / 4)
         assert row["total_steps"] >= 400 > row["total_steps"] - 150
@@ -62,7 +62,8 @@ def test_results_are_those_of_the_runs(undisturbed):
     curves = undisturbed.results.curves()
     assert [row["point"] for row in curves] == [1, 2, 3, 4] * 4
     for row in curves:
-        assert row["total_steps"] >= 100 * row["point"], "kept once its mark is reached"
+        assert 0 <= row["total_steps"] <= 100 * row["point"], "what the run had by its mark"
+    assert all(one["total_steps"] > 100 for one in curves if one["point"] == 4)
 
 
 def test_final_policies_are_evaluated_in_other_worlds_as_by_the_command(undisturbed):
