@@ -42,6 +42,7 @@ OTHER_LISTS = {
     "critic_cells": [4],
     "rates": [0.7, 0.4, 0.1],
     "thresholds": [0.3, 0.8],
+    "success_range": [0.2, 0.9],
 }
 MULTIPLES = {"num_worlds": 8, "frames_per_batch": 80}
 
