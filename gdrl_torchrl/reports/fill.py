@@ -19,7 +19,11 @@ from gdrl_torchrl.reports.evidence import Arm, Evidence
 from gdrl_torchrl.reports.of_study import read_study
 from gdrl_torchrl.reports.page.content import Table, count, number, p_value, with_limits
 from gdrl_torchrl.reports.page.write import markdown_table
-from gdrl_torchrl.reports.sections.comparison import beside_baseline_table, summary_table
+from gdrl_torchrl.reports.sections.comparison import (
+    beside_baseline_table,
+    by_task_table,
+    summary_table,
+)
 from gdrl_torchrl.reports.sections.elsewhere import elsewhere_table
 from gdrl_torchrl.reports.sections.hypotheses import Outcome, hypotheses_table, outcomes
 from gdrl_torchrl.reports.sections.learning import at_episodes_table
@@ -63,6 +67,7 @@ TABLES: dict[str, Callable[[Evidence], Table]] = {
     "reached": reached_table,
     "costs": costs_table,
     "summary": summary_table,
+    "by_task": by_task_table,
     "at_episodes": at_episodes_table,
     "elsewhere": elsewhere_table,
     "beside_baseline": beside_baseline_table,

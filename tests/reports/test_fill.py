@@ -94,6 +94,21 @@ def test_a_table_of_some_methods_has_their_baselines_too(tmp_path):
     assert both.count("\n| near |") == 1
 
 
+def test_methods_by_task_have_means_and_their_improvement_over_the_baseline(tmp_path):
+    study = write_study(tmp_path, baseline={"near": "ppo"})
+    head, _, *rows = figure_of(study, "by_task").strip().splitlines()
+    assert head == "| method | near | paper |"
+    cells = {name: found for name, *found in (row[2:-2].split(" | ") for row in rows)}
+    mean = {name: f"{column(study, name, 'area').mean():.3f}" for name in METHODS}
+    wins = figure_of(study, "improvement", task="near", method="gppo", against="ppo")
+    assert cells["ppo"] == [mean["ppo"], "–"]
+    assert (
+        cells["gppo"][0].replace("\\", "") == f"{mean['gppo']} ({' '.join(wins.split())})"
+    )
+    # A task without a baseline shows the means alone.
+    assert cells["grainbow"] == ["–", mean["grainbow"]]
+
+
 def test_what_was_typed_by_hand_is_replaced_and_the_rest_stays(study, tmp_path):
     of = {"task": "near", "method": "gppo"}
     page = tmp_path / "docs" / "page.md"

@@ -130,6 +130,28 @@ def summary_table(evidence: Evidence) -> Table:
     )
 
 
+def by_task_table(evidence: Evidence) -> Table:
+    """A row for each method and a column for each task: many arms at one glance."""
+    name = evidence.words.score_name
+
+    def cell(method: str, task: str) -> str:
+        scores, baseline = evidence.arm(task, method).scores, evidence.baselines.get(task)
+        if not len(scores):
+            return UNKNOWN
+        base = evidence.arm(task, baseline or "").scores
+        mean = number(float(scores.mean()))
+        if not len(base) or method == baseline:
+            return mean
+        return f"{mean} ({_beside(scores, base)[1]})"
+
+    return Table(
+        f"Mean {name} of each method by task, and in brackets the probability that a run of "
+        "it has a higher one than a run of the task's baseline, with its 95 % interval",
+        ("method", *evidence.tasks),
+        [(m, *(cell(m, task) for task in evidence.tasks)) for m in evidence.methods],
+    )
+
+
 def _beside(scores: np.ndarray, base: np.ndarray) -> tuple[str, str]:
     """Difference of means and probability of improvement, with their limits."""
     improvement = improvement_over_tasks([(scores, base)])
