@@ -145,8 +145,8 @@ def by_task_table(evidence: Evidence) -> Table:
         return f"{mean} ({_beside(scores, base)[1]})"
 
     return Table(
-        f"Mean {name} of each method by task, and in brackets the probability that a run of "
-        "it has a higher one than a run of the task's baseline, with its 95 % interval",
+        f"Mean {name} of each method by task, and in brackets the probability that a run "
+        "of it has a higher one than a run of the task's baseline, with its 95 % interval",
         ("method", *evidence.tasks),
         [(m, *(cell(m, task) for task in evidence.tasks)) for m in evidence.methods],
     )
