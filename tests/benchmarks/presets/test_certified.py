@@ -23,7 +23,7 @@ LIMITS = {
     "bare_agent_mean": (0.1, 0.7),
     "bare_agent_sd": (0.1, 1.0),
 }
-ANY_PRESET = {"pilot", "paper_indoor", "paper_water", "generalisation"}
+ANY_PRESET = {"pilot", "paper_indoor", "paper_water", "generalisation", "ablation"}
 """Studies that ask what runs cost, repeat those of the papers on the papers' tasks, ask
 what an effect on these is owed to, or take policies that succeed in their own worlds to
 others."""
