@@ -135,10 +135,11 @@ def by_task_table(evidence: Evidence) -> Table:
     name = evidence.words.score_name
 
     def cell(method: str, task: str) -> str:
-        scores, baseline = evidence.arm(task, method).scores, evidence.baselines.get(task)
+        scores = evidence.arm(task, method).scores
         if not len(scores):
             return UNKNOWN
-        base = evidence.arm(task, baseline or "").scores
+        baseline = evidence.baselines.get(task, "")
+        base = evidence.arm(task, baseline).scores
         mean = number(float(scores.mean()))
         if not len(base) or method == baseline:
             return mean
