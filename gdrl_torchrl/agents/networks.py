@@ -53,7 +53,8 @@ class TanhNormalActor(ProbabilisticActor):
 
         def act(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             loc = locations(observation)
-            action = torch.tanh(loc).clamp_(-_LARGEST_TANH, _LARGEST_TANH)
+            # Not in place: children are also fitted to actions, by their gradients.
+            action = torch.tanh(loc).clamp(-_LARGEST_TANH, _LARGEST_TANH)
             return center + reach * action if is_scaled else action, loc
 
         return act

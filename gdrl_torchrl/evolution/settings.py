@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection
+from typing import ClassVar
 
 from gdrl_torchrl.checks import (
     MOST_EPISODES,
@@ -195,7 +196,67 @@ class ErlConfig:
             )
 
 
-EVOLUTIONS: dict[str, type] = {"evolution": EvolutionConfig, "erl": ErlConfig}
+@dataclasses.dataclass
+class RaceConfig:
+    """Races of large mutations while the agent fails, in place of contests at any time."""
+
+    fitness: ClassVar[str] = "goals"
+    """What members are scored by: a race needs episodes that succeed or do not."""
+
+    name: str = "race"
+    """What runs with these settings are called."""
+    enabled: bool = True
+    """Whether populations are evaluated at all."""
+    num_members: int = within(16, least=1, most=MOST_WORLDS)
+    """Members of a round, each of which plays one episode."""
+    num_trials: int = within(8, least=1, most=_MOST_TRIALS)
+    """Episodes of the test that a candidate must pass to become the agent."""
+    least_success: float = within(0.3, above=0.0, most=1.0)
+    """Success in the test that is enough."""
+    race_below: float = within(0.1, least=0.0, most=1.0)
+    """Success of the agent in training under which races are run."""
+    patience_episodes: int = within(30, least=1, most=MOST_EPISODES)
+    """Training episodes after a candidate became the agent before races may go on."""
+    share: float = within(0.75, least=0.0, below=1.0)
+    """Share of all steps that races take while they are run."""
+    new_std: float = within(0.86, least=0.0, most=10.0)
+    """Standard deviation of the mutation that makes new members of the first weights."""
+    new_rate: float = within(0.75, least=0.0, most=1.0)
+    """Probability that it changes a weight."""
+    near_std: float = within(0.11, least=0.0, most=10.0)
+    """Standard deviation of the mutation of a candidate's weights, all of them."""
+    num_distilled: int = within(4, least=0, most=1000)
+    """Members of a round that are distilled from episodes which reached the goal, whenever
+    there are new ones."""
+    distillation_updates: int = within(300, least=1, most=100_000)
+    """Updates that each of them is made with."""
+    most_candidates: int = within(16, least=1, most=MOST_WORLDS)
+    """Members with a success that are kept between rounds."""
+    action_std: float | None = within(0.8, least=1e-4, most=100.0)
+    """Standard deviation of the agent's actions, before squashing, once a candidate has
+    become the agent. None keeps the agent's."""
+    rollback_level: float = within(0.02, least=0.0, below=1.0)
+    """Level of the test that the agent has become worse than it was; 0 never goes back."""
+    rollback_noise: float = within(0.7, above=0.0, most=1.0)
+    """Factor of the standard deviation of the agent's actions when it goes back."""
+    hand_over: str = among("tested", ("tested", "random"))
+    """Who becomes the agent: the candidate that was ``tested``, or, as a control, one that
+    is drawn at ``random`` in its place."""
+    window_episodes: int = within(50, least=20, most=MOST_EPISODES)
+    """Last training episodes that success is measured over."""
+    num_worlds: int | None = within(None, least=1, most=MOST_WORLDS)
+    """Worlds of the evaluation; None takes one per member."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, "evolution")
+        check_folder("evolution.name", self.name)
+
+
+EVOLUTIONS: dict[str, type] = {
+    "evolution": EvolutionConfig,
+    "erl": ErlConfig,
+    "race": RaceConfig,
+}
 """The dataclasses that ``conf/evolution`` files are made of."""
 
 

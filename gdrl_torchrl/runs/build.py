@@ -30,10 +30,11 @@ from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.genome import concatenate, genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.evolution.population.rules import exploration_of
-from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
+from gdrl_torchrl.evolution.race.hook import RaceHook
+from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig, RaceConfig
 
 MakeEvaluator = Callable[[Any, int], PopulationEvaluator]
-"""An evaluator from settings and the number of members."""
+"""An evaluator from settings and the number of episodes that are played at once."""
 MakeGeneration = Callable[[int], TensorDictBase]
 """A first generation of so many members."""
 
@@ -146,7 +147,7 @@ def _genetic(
     settings: EvolutionConfig = config.evolution
     return GeneticHook(
         agent.actor,
-        make_evaluator(settings, 1 + settings.num_children),
+        make_evaluator(settings, (1 + settings.num_children) * settings.num_trials),
         breeding_of(settings, agent.actor),
         contest_of(settings),
         hand_over_of(
@@ -175,7 +176,7 @@ def _erl(
     settings: ErlConfig = config.evolution
     return ErlHook(
         agent.actor,
-        make_evaluator(settings, settings.population_size),
+        make_evaluator(settings, settings.population_size * settings.num_trials),
         make_generation(settings.population_size),
         num_elites=settings.num_elites,
         tournament_size=settings.tournament_size,
@@ -184,6 +185,24 @@ def _erl(
         share_experience=_sharing(agent, settings),
         watch=watch,
         period_episodes=settings.period_episodes,
+        seed=config.seed,
+    )
+
+
+def _race(
+    config: ExperimentConfig,
+    agent: Agent,
+    watch: EpisodeWatch,
+    make_evaluator: MakeEvaluator,
+    make_generation: MakeGeneration,
+) -> Evolution:
+    settings: RaceConfig = config.evolution
+    return RaceHook(
+        agent.actor,
+        make_evaluator(settings, max(settings.num_members, settings.num_trials)),
+        settings,
+        optimizer=agent.optimizer,
+        watch=watch,
         seed=config.seed,
     )
 
@@ -197,7 +216,7 @@ def _genetic_algorithm(
 ) -> Evolution:
     settings: GAConfig = config.algorithm
     return GeneticAlgorithm(
-        make_evaluator(settings, settings.population_size),
+        make_evaluator(settings, settings.population_size * settings.num_trials),
         make_generation(settings.population_size),
         num_parents=settings.num_parents,
         num_validated=settings.num_validated,
@@ -211,6 +230,7 @@ def _genetic_algorithm(
 _MAKERS: dict[type, Callable[..., Evolution]] = {
     EvolutionConfig: _genetic,
     ErlConfig: _erl,
+    RaceConfig: _race,
     GAConfig: _genetic_algorithm,
 }
 """By the class of the settings, of an algorithm or of what evolves beside one."""
@@ -222,10 +242,10 @@ def _evaluator(
     agent: Agent,
     on_divergence: OnDivergence,
     settings: Any,
-    members: int,
+    episodes: int,
 ) -> PopulationEvaluator:
     """An evaluator of ``num_trials`` episodes with an environment of its own."""
-    worlds = settings.num_worlds or members * settings.num_trials
+    worlds = settings.num_worlds or episodes
     return PopulationEvaluator(
         agent.actor,
         num_episodes=settings.num_trials,

@@ -61,6 +61,10 @@ class SuccessWindow:
         """Whether an episode has begun and has not ended."""
         return self._open.get(episode, True) is None
 
+    def clear(self) -> None:
+        """Forget all that ended; what runs is waited for."""
+        self._finished.clear()
+
     def forget_running(self) -> None:
         """Drop the episodes that have not ended: they never will."""
         ended = [result for result in self._open.values() if result is not None]
@@ -69,6 +73,11 @@ class SuccessWindow:
 
     def __len__(self) -> int:
         return len(self._finished)
+
+    @property
+    def num_successes(self) -> int:
+        """Successes in the window."""
+        return sum(self._finished)
 
     @property
     def rate(self) -> float | None:
