@@ -8,9 +8,11 @@ from typing import NamedTuple
 import torch
 from tensordict import TensorDictBase
 
-Actions = Callable[[TensorDictBase, torch.Tensor], torch.Tensor]
-"""Genomes ``[K]`` and observations ``[K, B, D]`` to greedy actions ``[K, B, A]``, which
-can be differentiated."""
+Act = Callable[[torch.Tensor], torch.Tensor]
+"""Observations ``[K, B, D]`` to greedy actions ``[K, B, A]`` of ``K`` policies."""
+Bind = Callable[[TensorDictBase], Act]
+"""Genomes ``[K]`` to a function of observations that can be differentiated by them, and
+follows when they are changed in place."""
 
 
 class Demonstration(NamedTuple):
@@ -23,13 +25,13 @@ class Demonstration(NamedTuple):
 
 
 def distil(
-    actions_of: Actions,
+    bind: Bind,
     first: TensorDictBase,
     groups: Sequence[Sequence[Demonstration]],
     *,
     num_updates: int = 300,
     learning_rate: float = 1e-2,
-    minibatch_size: int = 256,
+    minibatch_size: int = 64,
     generator: torch.Generator,
 ) -> tuple[TensorDictBase, torch.Tensor]:
     """Fit a policy to each of several groups of demonstrations, all at once.
@@ -40,7 +42,7 @@ def distil(
     neither; what they did can be learnt by a third.
 
     Args:
-        actions_of: The family of policies.
+        bind: The family of policies.
         first: Weights ``[]`` that every fit starts from.
         groups: ``K`` groups of demonstrations.
         num_updates: Updates of Adam.
@@ -58,7 +60,7 @@ def distil(
         >>> shown = Demonstration(rows, 0.5 * rows)
         >>> genome = TensorDict(weight=torch.zeros(1))
         >>> fitted, error = distil(
-        ...     lambda genomes, x: x * genomes["weight"][:, None],
+        ...     lambda genomes: lambda x: x * genomes["weight"][:, None],
         ...     genome,
         ...     [[shown], [shown, shown]],
         ...     generator=torch.Generator().manual_seed(0),
@@ -68,27 +70,27 @@ def distil(
                 [0.5000]])
     """
     count = len(groups)
-    wholes = [
+    joined = [
         Demonstration(*(torch.cat(column) for column in zip(*group, strict=True)))
         for group in groups
     ]
+    # One long list of steps, of which each group has a part of its own.
+    seen, done = (torch.cat(column) for column in zip(*joined, strict=True))
+    lengths = torch.tensor([len(one.action) for one in joined])[:, None]
+    begins = lengths.cumsum(0) - lengths
     genomes = first.expand(count, *first.batch_size).clone()
     leaves = list(genomes.values(include_nested=True, leaves_only=True))
     weights = [leaf.requires_grad_() for leaf in leaves]
     optimizer = torch.optim.Adam(weights, lr=learning_rate, fused=True)
+    act = bind(genomes)
     tail = torch.zeros(count)
     num_tail = min(20, num_updates)
     with torch.enable_grad():
         for number in range(num_updates):
-            rows = [
-                torch.randint(len(w.action), (minibatch_size,), generator=generator)
-                for w in wholes
-            ]
-            seen, done = (
-                torch.stack([w[i][row] for w, row in zip(wholes, rows, strict=True)])
-                for i in (0, 1)
-            )
-            errors = (actions_of(genomes, seen) - done).square().mean(dim=(1, 2))
+            drawn = torch.rand(count, minibatch_size, generator=generator)
+            rows = begins + (drawn * lengths).long()
+            errors = (act(seen[rows]) - done[rows]).square()
+            errors = errors.mean(dim=(1, 2))
             optimizer.zero_grad()
             errors.sum().backward()
             optimizer.step()
@@ -96,4 +98,3 @@ def distil(
                 tail += errors.detach() / num_tail
     fitted: TensorDictBase = genomes.apply(lambda leaf: leaf.detach())
     return fitted, tail
-

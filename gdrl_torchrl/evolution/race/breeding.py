@@ -40,20 +40,20 @@ class RaceBreeding:
     def __init__(self, actor: TensorDictModuleBase, settings: RaceConfig) -> None:
         self.settings = settings
         self.first = genome_of(actor)
-        self._actions_of = greedy_actions_of(actor) if settings.num_distilled else None
+        self._bind = greedy_actions_of(actor) if settings.num_distilled else None
         self._shown: deque[Demonstration] = deque(maxlen=_MOST_DEMONSTRATIONS)
         self._num_new = 0
 
     def show(self, demonstration: Demonstration) -> None:
         """Keep an episode that reached the goal."""
-        if self._actions_of is not None:
+        if self._bind is not None:
             self._shown.append(demonstration)
             self._num_new += 1
 
     def member(
         self, known: Candidate | None, rng: np.random.Generator, generator: torch.Generator
     ) -> Candidate:
-        """A candidate itself or a mutation of it, each half of the time, or a new member."""
+        """A candidate itself or a mutation of it, each as often, or a new member."""
         if known is None:
             settings = self.settings
             genome = self._mutated(
@@ -74,7 +74,7 @@ class RaceBreeding:
         other least.
         """
         count = min(self.settings.num_distilled, self.settings.num_members)
-        if self._actions_of is None or not self._num_new:
+        if self._bind is None or not self._num_new:
             return []
         self._num_new = 0
         shown = list(self._shown)
@@ -84,7 +84,7 @@ class RaceBreeding:
             chosen = rng.choice(len(shown), size=size, replace=False)
             groups.append([shown[i] for i in chosen])
         genomes, errors = distil(
-            self._actions_of,
+            self._bind,
             self.first,
             [[_reachable(one) for one in group] for group in groups],
             num_updates=self.settings.distillation_updates,

@@ -61,7 +61,8 @@ class Champion:
             [self.successes, self.episodes - self.successes],
             [successes, episodes - successes],
         ]
-        return bool(fisher_exact(table, alternative="greater").pvalue < self.level)
+        test: Any = fisher_exact(table, alternative="greater")
+        return bool(test.pvalue < self.level)
 
     @torch.no_grad()
     def return_to(self, successes: int, episodes: int) -> None:

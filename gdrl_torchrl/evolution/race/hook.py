@@ -157,10 +157,11 @@ class RaceHook(PopulationHook):
         scores, transitions = self.evaluator.evaluate_with_transitions(genomes, seeds=seeds)
         # A member whose policy gives no numbers has reached nothing.
         whole = ~torch.isnan(scores[keys.FITNESS])
-        successes = scores[keys.SUCCESSES] & whole[:, None]
+        successes: Any = scores[keys.SUCCESSES] & whole[:, None]
         for member, won in zip(members, successes.sum(dim=1).tolist(), strict=True):
             member.add(won, trials)
-        episodes = transitions.split(scores[keys.STEPS].flatten().tolist())
+        lengths: Any = scores[keys.STEPS]
+        episodes = transitions.split(lengths.flatten().tolist())
         for episode, won in zip(episodes, successes.flatten().tolist(), strict=True):
             if won:
                 shown = Demonstration(episode[keys.OBSERVATION], episode[keys.ACTION])
