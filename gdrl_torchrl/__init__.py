@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
     from gdrl_torchrl.evolution.operators.selection import select_best
     from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+    from gdrl_torchrl.evolution.race.hook import RaceHook
+    from gdrl_torchrl.evolution.settings import RaceConfig
     from gdrl_torchrl.files.policy import load_policy, params_sha256, save_policy
 
 # torch and TorchRL take seconds to import.
@@ -108,6 +110,8 @@ _WHERE = {
     "evolution.operators.schedule": ("MutationSchedule",),
     "evolution.operators.selection": ("select_best",),
     "evolution.population.evaluator": ("PopulationEvaluator",),
+    "evolution.race.hook": ("RaceHook",),
+    "evolution.settings": ("RaceConfig",),
     "files.policy": (
         "load_policy",
         "params_sha256",
@@ -133,6 +137,8 @@ __all__ = [
     "NavigationEnv",
     "PairedContest",
     "PopulationEvaluator",
+    "RaceConfig",
+    "RaceHook",
     "RainbowLoss",
     "RandomContest",
     "bernoulli_mutation",

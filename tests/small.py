@@ -11,7 +11,7 @@ from typing import Any
 from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.study import Hypothesis, StudyConfig, StudyMethod
-from gdrl_torchrl.evolution.settings import ErlConfig
+from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig, RaceConfig
 
 EASY_WATER = {
     "sea": "calm",
@@ -50,6 +50,15 @@ GENETIC = {
     "test_trials": 2,
 }
 ERL = {"population_size": 4, "num_elites": 1, "num_trials": 2}
+RACE = {
+    "num_members": 4,
+    "num_trials": 2,
+    "num_distilled": 2,
+    "distillation_updates": 5,
+    "race_below": 0.9,
+    "patience_episodes": 8,
+}
+EVOLUTIONS = {EvolutionConfig: GENETIC, ErlConfig: ERL, RaceConfig: RACE}
 OTHERS = {
     "evaluation": {"episodes": 3, "num_worlds": 2},
     "logger": {"video_episodes": 0},
@@ -98,8 +107,7 @@ def small_options(experiment: str) -> list[str]:
         "algorithm": ALGORITHMS[config.algorithm.name],
     }
     if config.evolution.enabled:
-        is_erl = isinstance(config.evolution, ErlConfig)
-        parts["evolution"] = ERL if is_erl else GENETIC
+        parts["evolution"] = EVOLUTIONS[type(config.evolution)]
     return [*chosen, *(x for part in parts.items() for x in as_overrides(*part))]
 
 

@@ -90,6 +90,19 @@ def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
             f"{name!r}, which is a population already"
         )
     check_actions(task, config.algorithm)
+    evolution = config.evolution
+    if not task.spec.is_discrete or not evolution.enabled:
+        return
+    if getattr(evolution, "num_distilled", 0):
+        raise ValueError(
+            f"evolution.num_distilled={evolution.num_distilled} must be 0 with discrete "
+            "actions, which no policy can be fitted to by their errors"
+        )
+    if getattr(evolution, "action_std", None) is not None:
+        raise ValueError(
+            f"evolution.action_std={evolution.action_std} must be null with discrete "
+            "actions, which have no noise of that kind"
+        )
 
 
 def _check_population(config: ExperimentConfig) -> None:

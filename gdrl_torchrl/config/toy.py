@@ -9,7 +9,7 @@ from gdrl_torchrl.agents.ga.settings import GAConfig
 from gdrl_torchrl.agents.ppo.settings import PPOConfig
 from gdrl_torchrl.agents.rainbow.settings import RainbowConfig
 from gdrl_torchrl.config.schema import BudgetConfig, ExperimentConfig
-from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
+from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig, RaceConfig
 
 _SIZES: dict[type, dict[str, Any]] = {
     PPOConfig: {"frames_per_batch": 512, "num_epochs": 2},
@@ -34,6 +34,7 @@ _SIZES: dict[type, dict[str, Any]] = {
         "num_trials": 4,
         "period_episodes": 16,
     },
+    RaceConfig: {"num_members": 4, "num_trials": 4, "distillation_updates": 20},
 }
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import gdrl_torchrl.conf
-from gdrl_torchrl.evolution.settings import ErlConfig
+from gdrl_torchrl.evolution.settings import EvolutionConfig
 from tests.small import compose, easy_options, small_options
 
 ROWS = 90
@@ -55,7 +55,7 @@ def options_of():
         config = compose(chosen)
         chosen += easy_options(config.task.name)
         evolution = config.evolution
-        is_genetic = evolution.enabled and not isinstance(evolution, ErlConfig)
+        is_genetic = evolution.enabled and isinstance(evolution, EvolutionConfig)
         # Controls have children without differences.
         if is_genetic and evolution.mut_v:
             chosen += GENETIC

@@ -21,7 +21,7 @@ from gdrl_torchrl.cli.shared.compose import load_experiment
 from gdrl_torchrl.config.relations import make_task_of
 from gdrl_torchrl.config.schema import ExperimentConfig
 from gdrl_torchrl.config.task import task_config_class
-from gdrl_torchrl.evolution.settings import ErlConfig
+from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig, RaceConfig
 from gdrl_torchrl.runs.build import build_training
 from gdrl_torchrl.runs.checkpoint import seed_everything
 from gdrl_torchrl.runs.evaluate import evaluate_policy
@@ -44,10 +44,12 @@ SMALL = {
     **small.OTHERS,
     "genetic": {**small.GENETIC, "window_episodes": 4},
     "erl": {**small.ERL, "period_episodes": 8},
+    "race": small.RACE,
     "simulation": {"num_threads": 1},
     "budget": {"total_steps": 1000},
 }
 """What is taken where nothing else is drawn: ten iterations take a second or two."""
+SIZES = {EvolutionConfig: "genetic", ErlConfig: "erl", RaceConfig: "race"}
 COUNTS = (1, 2, 3, 5, 7)
 ORDINARY = {
     "algorithm.num_worlds": (1, 2, 5, 8),
@@ -141,7 +143,7 @@ def arguments(draw):
     algorithm, kind = draw(st.sampled_from(SYSTEMS))
     task = draw(st.sampled_from(["water", "indoor"]))
     evolution, settings_of_kind = shipped(kind)
-    size = SMALL["erl" if evolution is ErlConfig else "genetic"]
+    size = SMALL[SIZES[evolution]]
     actions = {"any": draw(st.sampled_from(["discrete", "continuous"]))}
     needed = ALGORITHMS[algorithm].actions
     made = {

@@ -10,7 +10,7 @@ from gdrl_torchrl.cli.shared.arguments import CommandParser, fail
 from gdrl_torchrl.cli.shared.names import names_in, sentence_of
 from gdrl_torchrl.config import schema
 from gdrl_torchrl.config.sentences import options_of
-from gdrl_torchrl.evolution.settings import ErlConfig, EvolutionConfig
+from gdrl_torchrl.evolution.settings import EVOLUTIONS, EvolutionConfig
 
 _EXAMPLES = (
     "gdrl-train experiment=gppo_water seed=1 task.sea=rough budget.agent_steps=300_000",
@@ -108,8 +108,8 @@ def _group(argument: str) -> list[tuple[str, list[tuple[str, str]]]]:
     elif group == "algorithm" and name in algorithm_configs():
         rows = options_of(algorithm_configs()[name], "algorithm")
     elif group == "evolution" and name in names_in("evolution"):
-        owner = ErlConfig if name == "erl" else EvolutionConfig
-        rows = options_of(owner, "evolution")
+        # The settings of most files are those of a population that is evaluated at times.
+        rows = options_of(EVOLUTIONS.get(name, EvolutionConfig), "evolution")
     else:
         fail(
             f"--help {argument} must be task={'|'.join(task_names())}, "

@@ -13,11 +13,16 @@ from tensordict.nn import TensorDictModuleBase
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation, PopulationHook
-from gdrl_torchrl.evolution.hooks.hand_over import reset_moments, update_collector
+from gdrl_torchrl.evolution.hooks.hand_over import (
+    HandOver,
+    reset_moments,
+    update_collector,
+)
 from gdrl_torchrl.evolution.hooks.watch import EpisodeWatch
 from gdrl_torchrl.evolution.operators.distillation import Demonstration
-from gdrl_torchrl.evolution.operators.genome import install
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.rules import exploration_of
 from gdrl_torchrl.evolution.race.breeding import RaceBreeding
 from gdrl_torchrl.evolution.race.candidates import Candidate, Candidates
 from gdrl_torchrl.evolution.race.champion import LEAST_EPISODES, Champion
@@ -25,6 +30,8 @@ from gdrl_torchrl.evolution.race.noise import ActionNoise
 from gdrl_torchrl.evolution.settings import RaceConfig
 
 _logger = logging.getLogger(__name__)
+_MOST_HALVINGS = 2
+"""Of the noise of a new agent: a quarter is taken without a look."""
 
 
 class RaceHook(PopulationHook):
@@ -93,7 +100,11 @@ class RaceHook(PopulationHook):
         self.num_rollbacks = 0
         self._seed, self._number = seed, 0
         self._agent_steps = 0
-        self._forget = None if optimizer is None else reset_moments(optimizer, actor)
+        # What follows whenever the actor has other weights.
+        self._follow: list[Callable[[], object]] = [self.watch.window.clear]
+        if optimizer is not None:
+            self._follow.append(reset_moments(optimizer, actor))
+        self.hand_over = HandOver(on_switch=self._follow)
 
     def __call__(self) -> None:
         """Go back if the agent has become worse; race if that is due."""
@@ -113,9 +124,8 @@ class RaceHook(PopulationHook):
         window = self.watch.window
         if self.champion and len(window) < self.settings.patience_episodes:
             return False
-        # Half a success more than there were: an empty window says nothing.
-        rate = (self._successes() + 0.5) / (len(window) + 1)
-        return not len(window) or rate < self.settings.race_below
+        # Before its first episode ends the agent is one that nothing speaks for.
+        return (window.running_rate or 0.0) < self.settings.race_below
 
     def evaluate(self) -> GeneticEvaluation:
         """Run a round; test the best candidate, and make it the agent if it passes."""
@@ -137,7 +147,7 @@ class RaceHook(PopulationHook):
             record, test_steps = self._test(best)
             steps += test_steps
             if record >= self.settings.least_success * self.settings.num_trials:
-                self._hand_over(best, record, rng)
+                steps += self._hand_over(best, record, rng)
                 switched = True
         evaluation = GeneticEvaluation(
             number=self.counts.evaluations,
@@ -176,16 +186,42 @@ class RaceHook(PopulationHook):
 
     def _hand_over(
         self, candidate: Candidate, successes: int, rng: np.random.Generator
-    ) -> None:
+    ) -> int:
+        """Make a candidate the agent; the steps that finding its noise takes."""
         genome = candidate.genome
         if self.settings.hand_over == "random":
             genome = self.breeding.member(None, rng, self.generator).genome
-        install(self.actor, genome)
-        if self.noise is not None and self.settings.action_std is not None:
-            self.noise.set(self.settings.action_std)
+        steps = self._fit_noise(genome, successes)
+        self.hand_over.install(self.actor, genome_of(self.actor), genome, self._trainer)
         self.champion.crown(successes, self.settings.num_trials)
         self.candidates.clear()
-        self._changed()
+        return steps
+
+    def _fit_noise(self, genome: TensorDictBase, successes: int) -> int:
+        """Give the agent as much noise as the genome bears; the steps that this takes.
+
+        The gradient learns from what succeeds with noise. The first of a few standard
+        deviations, each half of the one before, is taken with which at least half of the
+        greedy successes are left.
+        """
+        steps, largest = 0, self.settings.action_std
+        if self.noise is None or largest is None:
+            return steps
+        greedy = self.evaluator.exploration_type
+        self.evaluator.exploration_type = exploration_of("sampled")
+        try:
+            for halvings in range(_MOST_HALVINGS + 1):
+                self.noise.set(largest * 0.5**halvings)
+                if halvings == _MOST_HALVINGS:
+                    break
+                seeds = self.evaluator.fresh_seeds(self.settings.num_trials)
+                scores = self.evaluator.evaluate(stack_copies(genome, 1), seeds=seeds)
+                steps += int(scores[keys.FRAMES].sum())
+                if 2 * int(scores[keys.SUCCESSES].sum()) >= successes:
+                    break
+        finally:
+            self.evaluator.exploration_type = greedy
+        return steps
 
     def _goes_back(self) -> bool:
         """Look at the agent's last episodes; return to the champion if they say so."""
@@ -202,16 +238,10 @@ class RaceHook(PopulationHook):
             self.noise.scale(self.settings.rollback_noise)
         self.num_rollbacks += 1
         _logger.info("back to an earlier policy: %d of %d goals", successes, episodes)
-        self._changed()
+        for follow in self._follow:
+            follow()
+        update_collector(self._trainer)
         return True
-
-    def _changed(self) -> None:
-        """What follows when the actor has other weights."""
-        if self._forget is not None:
-            self._forget()
-        self.watch.window.clear()
-        if self._trainer is not None:
-            update_collector(self._trainer)
 
     def _successes(self) -> int:
         return self.watch.window.num_successes
