@@ -217,7 +217,7 @@ class RaceConfig:
     """Success of the agent in training under which races are run."""
     patience_episodes: int = within(30, least=1, most=MOST_EPISODES)
     """Training episodes after a candidate became the agent before races may go on."""
-    share: float = within(0.75, least=0.0, below=1.0)
+    share: float = within(0.9, least=0.0, below=1.0)
     """Share of all steps that races take while they are run."""
     new_std: float = within(0.86, least=0.0, most=10.0)
     """Standard deviation of the mutation that makes new members of the first weights."""
