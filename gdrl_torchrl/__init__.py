@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from gdrl_torchrl.evolution.operators.schedule import MutationSchedule
     from gdrl_torchrl.evolution.operators.selection import select_best
     from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+    from gdrl_torchrl.evolution.race.attach import AttachedRaceHook
     from gdrl_torchrl.evolution.race.hook import RaceHook
     from gdrl_torchrl.evolution.settings import RaceConfig
     from gdrl_torchrl.files.policy import load_policy, params_sha256, save_policy
@@ -110,6 +111,7 @@ _WHERE = {
     "evolution.operators.schedule": ("MutationSchedule",),
     "evolution.operators.selection": ("select_best",),
     "evolution.population.evaluator": ("PopulationEvaluator",),
+    "evolution.race.attach": ("AttachedRaceHook",),
     "evolution.race.hook": ("RaceHook",),
     "evolution.settings": ("RaceConfig",),
     "files.policy": (
@@ -122,6 +124,7 @@ _LAZY = {name: module for module, names in _WHERE.items() for name in names}
 
 __all__ = [
     "AttachedGeneticHook",
+    "AttachedRaceHook",
     "Breeding",
     "Contest",
     "CopiesContest",

@@ -105,11 +105,7 @@ class AttachedGeneticHook(TrainerHookBase):
             ValueError: If the loss has no policy that learns, the trainer collects
                 asynchronously or learns in other processes, or an option is out of range.
         """
-        if getattr(trainer, "learner_backend", "local") != "local":
-            raise ValueError(
-                f"learner_backend={trainer.learner_backend!r}: the weights that learn are "
-                "in other processes, out of the hook's reach"
-            )
+        check_local(trainer)
         loss = trainer.loss_module
         place = find_policy(loss)
         actor = getattr(loss, place)
@@ -145,6 +141,16 @@ class AttachedGeneticHook(TrainerHookBase):
         if self.genetic is None:
             raise RuntimeError("there is no state before register(trainer)")
         return self.genetic
+
+
+def check_local(trainer: Any) -> None:
+    """Raise ValueError if a trainer learns where no hook sees it."""
+    backend = getattr(trainer, "learner_backend", "local")
+    if backend != "local":
+        raise ValueError(
+            f"learner_backend={backend!r}: the weights that learn are in other processes, "
+            "out of the hook's reach"
+        )
 
 
 def find_policy(loss: Any) -> str:

@@ -68,7 +68,8 @@ class PopulationRollout:
             cut = torch.zeros_like(done) if limit is None else steps >= limit
             if log is not None:
                 log.append(self._transitions(td, alive, steps - 1, offset, cut & ~done))
-            ended = alive & done
+            # An episode that is cut off ends there: what it has by then is what it has.
+            ended = alive & (done | cut)
             if bool(ended.any()):
                 for key, name in final_keys.items():
                     value = following[key].reshape(worlds)

@@ -133,11 +133,10 @@ class SimulationRollout:
             if episodes is not None:
                 episodes.note(live, action[rows], reward, observation)
             ended = result.terminated | result.truncated
-            if ended.any():
-                self._note_finals(final, live[ended])
             if limit is not None:
                 ended = ended | (steps[live] >= limit)
             if ended.any():
+                self._note_finals(final, live[ended])
                 live = live[~ended]
                 slots = self._blocks(live, trials, slots)
         final |= {"return": returns.astype(np.float32), "steps": steps, "finite": finite}

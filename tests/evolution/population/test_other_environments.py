@@ -10,13 +10,15 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.data import Bounded
-from torchrl.envs import GymEnv, SerialEnv
+from torchrl.envs import Compose, GymEnv, RewardSum, SerialEnv, TransformedEnv
 from torchrl.testing.mocking_classes import (
     ContinuousActionVecMockEnv,
     CountingBatchedEnv,
     DiscreteActionVecMockEnv,
 )
 
+from gdrl_torchrl.envs.success import ReturnSuccess
+from gdrl_torchrl.evolution.operators.genome import genome_of, stack_copies
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 
 
@@ -163,3 +165,25 @@ def test_stock_dm_control_runs_serially(actor_of, population_of):
     assert (start[0] == start[1]).all()
     assert len(start[0].unique(dim=0)) == 3
     evaluator.close()
+
+
+def test_what_an_episode_has_reached_when_it_is_cut_off_counts(actor_of):
+    """A flag of the return stands before the environment ends."""
+
+    def cartpole(threshold):
+        flag = Compose(RewardSum(), ReturnSuccess(threshold))
+        return TransformedEnv(GymEnv("CartPole-v1"), flag)
+
+    actor = actor_of("q_value", 4, GymEnv("CartPole-v1").action_spec)
+    genomes = stack_copies(genome_of(actor), 2)
+    for threshold, success in ((5.0, True), (6.5, False)):
+        evaluator = PopulationEvaluator(
+            actor,
+            num_episodes=2,
+            create_env_fn=partial(cartpole, threshold),
+            max_steps=6,
+        )
+        scores = evaluator.evaluate(genomes)
+        assert (scores["steps"] == 6).all()
+        assert (scores["successes"] == success).all()
+        evaluator.close()
