@@ -1,7 +1,6 @@
 """Is a race worth something to TorchRL's own trainers?
 
     python results/stock_trainers/measure.py sac mountain_car 0 1 2   # adds to runs.csv
-    python results/stock_trainers/measure.py --table                  # the README's table
 
 TorchRL's trainers of SAC and PPO on two tasks whose rewards are rare at first, alone and
 with a race, at equal total steps. Success is over held-out episodes of the greedy policy,
@@ -294,12 +293,11 @@ def episode(task: str, layers: list[tuple[np.ndarray, np.ndarray]], seed: int) -
 
 
 def main() -> None:
-    """Run what is asked for, or print the table."""
+    """Run both arms with each of the seeds."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("trainer", nargs="?", choices=sorted(MAKERS))
-    parser.add_argument("task", nargs="?", choices=TASKS)
-    parser.add_argument("seeds", nargs="*", type=int)
+    parser.add_argument("trainer", choices=sorted(MAKERS))
+    parser.add_argument("task", choices=TASKS)
+    parser.add_argument("seeds", nargs="+", type=int)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
