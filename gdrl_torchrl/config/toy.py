@@ -34,7 +34,12 @@ _SIZES: dict[type, dict[str, Any]] = {
         "num_trials": 4,
         "period_episodes": 16,
     },
-    RaceConfig: {"num_members": 4, "num_trials": 4, "distillation_updates": 20},
+    RaceConfig: {
+        "num_members": 6,
+        "num_distilled": 2,
+        "num_again": 2,
+        "distillation_updates": 20,
+    },
 }
 
 

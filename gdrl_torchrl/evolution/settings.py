@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from gdrl_torchrl.checks import (
     MOST_EPISODES,
+    MOST_STEPS,
     MOST_WORLDS,
     among,
     check_choice,
@@ -209,10 +210,18 @@ class RaceConfig:
     """Whether populations are evaluated at all."""
     num_members: int = within(16, least=1, most=MOST_WORLDS)
     """Members of a round, each of which plays one episode."""
+    num_distilled: int = within(6, least=0, most=MOST_WORLDS)
+    """Members of a round that are distilled from episodes which reached the goal."""
+    num_again: int = within(4, least=0, most=MOST_WORLDS)
+    """Members of a round, at most, that have played and reached the goal."""
     num_trials: int = within(8, least=1, most=_MOST_TRIALS)
     """Episodes of the test that a candidate must pass to become the agent."""
-    least_success: float = within(0.3, above=0.0, most=1.0)
-    """Success in the test that is enough."""
+    least_success: float = within(0.4, above=0.0, most=1.0)
+    """Success in the test that is enough at first."""
+    halving_steps: int = within(40_000, least=1, most=MOST_STEPS)
+    """Steps of a race in which this falls to its half, again and again."""
+    act: str = among("sampled", _GREEDY_OR_SAMPLED)
+    """How members act: as the agent does in training, or greedily."""
     race_below: float = within(0.1, least=0.0, most=1.0)
     """Success of the agent in training under which races are run."""
     patience_episodes: int = within(30, least=1, most=MOST_EPISODES)
@@ -223,22 +232,13 @@ class RaceConfig:
     """Standard deviation of the mutation that makes new members of the first weights."""
     new_rate: float = within(0.75, least=0.0, most=1.0)
     """Probability that it changes a weight."""
-    near_std: float = within(0.11, least=0.0, most=10.0)
-    """Standard deviation of the mutation of a candidate's weights, all of them."""
-    num_distilled: int = within(4, least=0, most=1000)
-    """Members of a round that are distilled from episodes which reached the goal, whenever
-    there are new ones."""
-    distillation_updates: int = within(300, least=1, most=100_000)
-    """Updates that each of them is made with."""
+    distillation_updates: int = within(600, least=1, most=100_000)
+    """Updates that each distilled member is made with."""
     most_candidates: int = within(16, least=1, most=MOST_WORLDS)
     """Members with a success that are kept between rounds."""
     action_std: float | None = within(0.8, least=1e-4, most=100.0)
-    """Standard deviation of the agent's actions, before squashing, once a candidate has
-    become the agent. None keeps the agent's."""
-    rollback_level: float = within(0.02, least=0.0, below=1.0)
-    """Level of the test that the agent has become worse than it was; 0 never goes back."""
-    rollback_noise: float = within(0.7, above=0.0, most=1.0)
-    """Factor of the standard deviation of the agent's actions when it goes back."""
+    """Largest standard deviation of actions, before squashing, with which members play, and
+    the agent acts after a hand-over. None leaves the agent's."""
     hand_over: str = among("tested", ("tested", "random"))
     """Who becomes the agent: the candidate that was ``tested``, or, as a control, one that
     is drawn at ``random`` in its place."""

@@ -62,7 +62,7 @@ CAR_STEPS = 300
 """In place of 999, most of which would be the same again."""
 TASKS = ("mountain_car", "ball_in_cup")
 COLUMNS = ["trainer", "task", "arm", "seed", "area", "final", "agent_steps"]
-COLUMNS += ["population_steps", "switches", "rollbacks", "wall_s", "curve"]
+COLUMNS += ["population_steps", "switches", "wall_s", "curve"]
 
 
 def make_env(task: str) -> EnvBase:
@@ -226,7 +226,6 @@ def run(name: str, task: str, arm: str, seed: int) -> dict[str, Any]:
         "agent_steps": trainer.collected_frames,
         "population_steps": population_steps(),
         "switches": 0 if race is None else race.counts.switches,
-        "rollbacks": 0 if race is None else race.num_rollbacks,
         "wall_s": round(wall_s, 1),
         "curve": " ".join(str(rate) for rate in curve),
     }

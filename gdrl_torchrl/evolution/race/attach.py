@@ -11,6 +11,7 @@ from torchrl.trainers.trainers import TrainerHookBase
 from gdrl_torchrl.evolution.hooks.attach import check_local, find_policy
 from gdrl_torchrl.evolution.hooks.base import GeneticEvaluation
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
+from gdrl_torchrl.evolution.population.rules import exploration_of
 from gdrl_torchrl.evolution.race.hook import RaceHook
 from gdrl_torchrl.evolution.settings import RaceConfig
 
@@ -81,6 +82,7 @@ class AttachedRaceHook(TrainerHookBase):
             max_steps=self._max_steps,
             fitness=self.settings.fitness,
             seed=self.seed,
+            exploration_type=exploration_of(self.settings.act),
         )
         race = RaceHook(
             actor,

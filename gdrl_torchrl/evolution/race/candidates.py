@@ -23,7 +23,7 @@ class Candidate:
     genome: TensorDictBase
     """``[]``."""
     origin: str
-    """``new``, ``near`` another candidate, or ``distilled``."""
+    """``new`` or ``distilled``."""
     successes: int = 0
     episodes: int = 0
 

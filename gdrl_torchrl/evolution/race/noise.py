@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import nn
 
 _NAME = "state_independent_scale"
-_LEAST_STD = 0.1
-"""With less noise there is next to no exploration, and gradients explode."""
 
 
 class ActionNoise:
@@ -26,10 +26,11 @@ class ActionNoise:
         >>> from torchrl.data import Bounded
         >>> from gdrl_torchrl.agents.networks import make_tanh_normal_actor
         >>> noise = ActionNoise(make_tanh_normal_actor(3, Bounded(-1, 1, shape=(2,))))
-        >>> noise.set(0.5)
-        >>> noise.scale(0.5)
-        >>> round(noise.std, 2)
-        0.25
+        >>> with noise.limited(0.5):
+        ...     round(noise.std, 2)
+        0.5
+        >>> noise.std > 0.5
+        True
     """
 
     def __init__(self, actor: nn.Module) -> None:
@@ -47,15 +48,19 @@ class ActionNoise:
         return float(torch.cat([p.detach().exp() for p in self._logarithms]).mean())
 
     @torch.no_grad()
-    def set(self, std: float) -> None:
-        """Give every action this standard deviation."""
+    def limit(self, std: float) -> None:
+        """Give no action a larger standard deviation than this."""
         for logarithm in self._logarithms:
-            logarithm.fill_(math.log(std))
+            logarithm.clamp_(max=math.log(std))
 
-    @torch.no_grad()
-    def scale(self, factor: float) -> None:
-        """Multiply the standard deviations, down to a tenth and no further."""
-        least = math.log(_LEAST_STD)
-        for logarithm in self._logarithms:
-            lower = (logarithm + math.log(factor)).clamp(min=least)
-            logarithm.copy_(torch.minimum(logarithm, lower))
+    @contextlib.contextmanager
+    def limited(self, std: float) -> Iterator[None]:
+        """Do so for a while."""
+        before = [logarithm.detach().clone() for logarithm in self._logarithms]
+        self.limit(std)
+        try:
+            yield
+        finally:
+            with torch.no_grad():
+                for logarithm, value in zip(self._logarithms, before, strict=True):
+                    logarithm.copy_(value)

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType
 
 from gdrl_torchrl import keys
 from gdrl_torchrl.evolution.operators.genome import genome_of
@@ -19,6 +18,7 @@ SMALL = {
     "num_members": 6,
     "num_trials": 4,
     "num_distilled": 0,
+    "num_again": 3,
     "patience_episodes": 10,
     "window_episodes": 30,
 }
@@ -37,36 +37,25 @@ class RuleEvaluator:
 
     num_episodes = 4
 
-    exploration_type = ExplorationType.DETERMINISTIC
-
     def __init__(self, succeeds):
         self.succeeds = succeeds
-        self.bears = lambda: True
-        self.sampled = []
         self.episodes_drawn = 0
         self.played = []
+        self.note_noise = lambda: None
 
     def fresh_seeds(self, count):
         first, self.episodes_drawn = self.episodes_drawn, self.episodes_drawn + count
         return torch.arange(first, first + count)
 
-    def evaluate(self, population, *, seeds):
-        """Sampled episodes: they succeed if the member bears the noise."""
-        assert self.exploration_type is ExplorationType.RANDOM
-        self.sampled.append((population.clone(), len(seeds)))
-        won = torch.full((1, len(seeds)), self.bears())
-        frames = torch.tensor([len(seeds) * STEPS])
-        return TensorDict({keys.SUCCESSES: won, keys.FRAMES: frames}, batch_size=[1])
-
     @property
     def steps(self):
         """All that were played."""
-        played = [*self.played, *self.sampled]
-        return sum(STEPS * len(population) * trials for population, trials in played)
+        return sum(STEPS * len(population) * trials for population, trials in self.played)
 
     def evaluate_with_transitions(self, population, *, seeds):
         count, trials = population.batch_size[0], len(seeds)
         self.played.append((population.clone(), trials))
+        self.note_noise()
         skill = torch.tensor([skill_of(member) for member in population])
         won = torch.tensor([bool(self.succeeds(float(s))) for s in skill])
         rows = count * trials * STEPS
