@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,9 @@ class RaceBreeding:
         self.settings = settings
         self.first = genome_of(actor)
         self._bind = greedy_actions_of(actor) if settings.num_distilled else None
-        self._shown: deque[Demonstration] = deque(maxlen=_MOST_DEMONSTRATIONS)
+        self._shown: dict[int, Demonstration] = {}
+        self._num_shown = 0
+        self._drawn: set[tuple[int, ...]] = set()
 
     def show(self, genome: TensorDictBase, observation: torch.Tensor) -> None:
         """Keep an episode that reached the goal.
@@ -58,7 +59,9 @@ class RaceBreeding:
         seen = observation.float()
         with torch.no_grad():
             action = self._bind(stack_copies(genome, 1))(seen[None])[0]
-        self._shown.append(Demonstration(seen, _PART_OF_ACTION * action))
+        self._shown[self._num_shown] = Demonstration(seen, _PART_OF_ACTION * action)
+        self._shown.pop(self._num_shown - _MOST_DEMONSTRATIONS, None)
+        self._num_shown += 1
 
     def new(self, count: int, generator: torch.Generator) -> list[Candidate]:
         """Large mutations of the first weights."""
@@ -73,16 +76,19 @@ class RaceBreeding:
     def distilled(
         self, rng: np.random.Generator, generator: torch.Generator
     ) -> list[Candidate]:
-        """Members that do what a few others did who reached the goal, drawn for each."""
-        if self._bind is None or len(self._shown) < _LEAST_IN_GROUP:
+        """Members that do what a few others did who reached the goal, drawn for each.
+
+        No group of episodes is drawn twice, so that a few bad ones do not fill the race.
+        """
+        if self._bind is None:
             return []
-        shown = list(self._shown)
-        most = min(len(shown), _MOST_IN_GROUP)
         groups = []
         for _ in range(min(self.settings.num_distilled, self.settings.num_members)):
-            size = int(rng.integers(_LEAST_IN_GROUP, most + 1))
-            chosen = rng.choice(len(shown), size=size, replace=False)
-            groups.append([shown[i] for i in chosen])
+            group = self._draw(rng)
+            if group is not None:
+                groups.append([self._shown[number] for number in group])
+        if not groups:
+            return []
         genomes, _ = distil(
             self._bind,
             self.first,
@@ -92,15 +98,31 @@ class RaceBreeding:
         )
         return [Candidate(genome.clone(), "distilled") for genome in genomes]
 
+    def _draw(self, rng: np.random.Generator) -> tuple[int, ...] | None:
+        """Numbers of a few episodes; None if they were drawn before."""
+        most = min(len(self._shown), _MOST_IN_GROUP)
+        if most < _LEAST_IN_GROUP:
+            return None
+        size = int(rng.integers(_LEAST_IN_GROUP, most + 1))
+        numbers = list(self._shown)
+        group = tuple(sorted(rng.choice(numbers, size=size, replace=False).tolist()))
+        if group in self._drawn:
+            return None
+        self._drawn.add(group)
+        return group
+
     def state_dict(self) -> dict[str, Any]:
         """First weights and demonstrations."""
         return {
             "first": self.first.to_dict(),
-            "shown": [list(one) for one in self._shown],
+            "shown": [[number, *one] for number, one in self._shown.items()],
+            "num_shown": self._num_shown,
+            "drawn": sorted(self._drawn),
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Return to a state of :meth:`state_dict`."""
         self.first = TensorDict(state_dict["first"])
-        self._shown.clear()
-        self._shown.extend(Demonstration(*one) for one in state_dict["shown"])
+        self._shown = {n: Demonstration(*one) for n, *one in state_dict["shown"]}
+        self._num_shown = int(state_dict["num_shown"])
+        self._drawn = set(map(tuple, state_dict["drawn"]))

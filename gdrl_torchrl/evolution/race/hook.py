@@ -123,7 +123,9 @@ class RaceHook(PopulationHook):
         self.candidates.keep(members)
         steps = int(scores[keys.FRAMES].sum())
         halvings = (self.counts.steps + steps - self._began) / settings.halving_steps
-        least = settings.least_success * 0.5**halvings
+        agent = self.watch.window.running_rate or 0.0
+        # Nobody takes the place of an agent that does better.
+        least = max(settings.least_success * 0.5**halvings, agent)
         best = self.candidates.promising(least)
         switched = False
         if best is not None:
