@@ -98,11 +98,6 @@ def check_fit(task: NavigationTask, config: ExperimentConfig) -> None:
             f"evolution.num_distilled={evolution.num_distilled} must be 0 with discrete "
             "actions, which no policy can be fitted to by their errors"
         )
-    if getattr(evolution, "action_std", None) is not None:
-        raise ValueError(
-            f"evolution.action_std={evolution.action_std} must be null with discrete "
-            "actions, which have no noise of that kind"
-        )
 
 
 def _check_population(config: ExperimentConfig) -> None:

@@ -216,7 +216,7 @@ class RaceConfig:
     """Members of a round, at most, that have played and reached the goal."""
     num_trials: int = within(8, least=1, most=_MOST_TRIALS)
     """Episodes of the test that a candidate must pass to become the agent."""
-    least_success: float = within(0.4, above=0.0, most=1.0)
+    least_success: float = within(0.6, above=0.0, most=1.0)
     """Success in the test that is enough at first."""
     halving_steps: int = within(40_000, least=1, most=MOST_STEPS)
     """Steps of a race in which this falls to its half, again and again."""
@@ -236,9 +236,6 @@ class RaceConfig:
     """Updates that each distilled member is made with."""
     most_candidates: int = within(16, least=1, most=MOST_WORLDS)
     """Members with a success that are kept between rounds."""
-    action_std: float | None = within(0.8, least=1e-4, most=100.0)
-    """Largest standard deviation of actions, before squashing, with which members play, and
-    the agent acts after a hand-over. None leaves the agent's."""
     hand_over: str = among("tested", ("tested", "random"))
     """Who becomes the agent: the candidate that was ``tested``, or, as a control, one that
     is drawn at ``random`` in its place."""

@@ -183,13 +183,12 @@ def run(name: str, task: str, arm: str, seed: int) -> dict[str, Any]:
     trainer, actor = MAKERS[name](env)
     hook = None
     if arm == "race":
-        # PPO's noise is a parameter, and the winner gets as much as it bears.
-        noise = {"action_std": 0.8} if name == "ppo" else {}
         hook = AttachedRaceHook(
             create_env_fn=functools.partial(make_env, task),
             seed=seed,
             num_members=8,
-            **noise,
+            num_distilled=3,
+            num_again=2,
         )
         hook.register(trainer)
     kept: list[Any] = []

@@ -29,8 +29,6 @@ class AttachedRaceHook(TrainerHookBase):
         on_evaluation: Called with each
             :class:`~gdrl_torchrl.evolution.hooks.base.GeneticEvaluation`.
         **settings: Fields of :class:`~gdrl_torchrl.evolution.settings.RaceConfig`.
-            ``action_std`` is None unless it is given: few policies have a noise that is a
-            parameter of its own.
 
     Attributes:
         race: The hook that was made, None before :meth:`register`.
@@ -59,8 +57,7 @@ class AttachedRaceHook(TrainerHookBase):
         on_evaluation: Sequence[Callable[[GeneticEvaluation], None]] = (),
         **settings: Any,
     ) -> None:
-        chosen: dict[str, Any] = {"action_std": None, **settings}
-        self.settings = RaceConfig(**chosen)
+        self.settings = RaceConfig(**settings)
         self.race: RaceHook | None = None
         self.seed, self.on_evaluation = seed, list(on_evaluation)
         self._create_env_fn, self._max_steps = create_env_fn, max_steps
@@ -71,7 +68,7 @@ class AttachedRaceHook(TrainerHookBase):
         Raises:
             ValueError: If the loss has no policy that learns, the trainer collects
                 asynchronously or learns in other processes, or the policy cannot be
-                distilled or has no noise where the settings ask for it.
+                distilled.
         """
         check_local(trainer)
         actor = getattr(trainer.loss_module, find_policy(trainer.loss_module))

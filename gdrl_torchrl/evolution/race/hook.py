@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +18,6 @@ from gdrl_torchrl.evolution.operators.genome import genome_of
 from gdrl_torchrl.evolution.population.evaluator import PopulationEvaluator
 from gdrl_torchrl.evolution.race.breeding import RaceBreeding
 from gdrl_torchrl.evolution.race.candidates import Candidate, Candidates
-from gdrl_torchrl.evolution.race.noise import ActionNoise
 from gdrl_torchrl.evolution.settings import RaceConfig
 
 
@@ -50,8 +48,7 @@ class RaceHook(PopulationHook):
         candidates: Members that have succeeded.
 
     Raises:
-        ValueError: If ``action_std`` is given and the policy has no such parameter, or
-            members are to be distilled and cannot be.
+        ValueError: If members are to be distilled, and the policy cannot be.
     """
 
     def __init__(
@@ -76,8 +73,6 @@ class RaceHook(PopulationHook):
             seed=seed,
             on_evaluation=on_evaluation,
         )
-        std = self.settings.action_std
-        self.noise = None if std is None else ActionNoise(actor)
         self.candidates = Candidates(self.settings.most_candidates)
         self.breeding = RaceBreeding(actor, self.settings)
         self._seed, self._number = seed, 0
@@ -150,10 +145,7 @@ class RaceHook(PopulationHook):
         """Let members play common episodes; their records and the breeding learn of it."""
         genomes: Any = torch.stack([member.genome for member in members])
         seeds = self.evaluator.fresh_seeds(trials)
-        with self._noise_of_members():
-            scores, transitions = self.evaluator.evaluate_with_transitions(
-                genomes, seeds=seeds
-            )
+        scores, transitions = self.evaluator.evaluate_with_transitions(genomes, seeds=seeds)
         # A member whose policy gives no numbers has reached nothing.
         whole = ~torch.isnan(scores[keys.FITNESS])
         successes: Any = scores[keys.SUCCESSES] & whole[:, None]
@@ -171,19 +163,11 @@ class RaceHook(PopulationHook):
         scores = self._play([candidate], self.settings.num_trials)
         return candidate.successes - before, int(scores[keys.FRAMES].sum())
 
-    def _noise_of_members(self) -> contextlib.AbstractContextManager[None]:
-        std = self.settings.action_std
-        if self.noise is None or std is None:
-            return contextlib.nullcontext()
-        return self.noise.limited(std)
-
     def _hand_over(self, candidate: Candidate) -> None:
-        """Make a candidate the agent, with the noise that it has played with."""
+        """Make a candidate the agent."""
         genome = candidate.genome
         if self.settings.hand_over == "random":
             genome = self.breeding.new(1, self.generator)[0].genome
-        if self.noise is not None and self.settings.action_std is not None:
-            self.noise.limit(self.settings.action_std)
         self.hand_over.install(self.actor, genome_of(self.actor), genome, self._trainer)
         self.candidates.clear()
 

@@ -41,7 +41,6 @@ class RuleEvaluator:
         self.succeeds = succeeds
         self.episodes_drawn = 0
         self.played = []
-        self.note_noise = lambda: None
 
     def fresh_seeds(self, count):
         first, self.episodes_drawn = self.episodes_drawn, self.episodes_drawn + count
@@ -55,7 +54,6 @@ class RuleEvaluator:
     def evaluate_with_transitions(self, population, *, seeds):
         count, trials = population.batch_size[0], len(seeds)
         self.played.append((population.clone(), trials))
-        self.note_noise()
         skill = torch.tensor([skill_of(member) for member in population])
         won = torch.tensor([bool(self.succeeds(float(s))) for s in skill])
         rows = count * trials * STEPS

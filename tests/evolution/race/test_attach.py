@@ -79,13 +79,6 @@ def test_it_finds_the_policy_of_a_stock_trainer_and_hands_over():
     assert not (genome_of(actor) == first).all()
 
 
-def test_the_noise_of_a_policy_that_has_none_of_its_own_cannot_be_set():
-    trainer, _ = make_sac()
-    hook = AttachedRaceHook(create_env_fn=pendulum, action_std=0.5, **SMALL)
-    with pytest.raises(ValueError, match="give action_std=None"):
-        hook.register(trainer)
-
-
 def test_an_environment_without_a_flag_is_refused_when_it_is_played_in():
     trainer, _ = make_sac()
     hook = AttachedRaceHook(create_env_fn=lambda: GymEnv("Pendulum-v1"), **SMALL)

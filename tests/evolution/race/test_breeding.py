@@ -67,29 +67,41 @@ def test_members_do_what_the_winners_would_have_done_without_noise(breeding_of, 
     breeding.show(shown, torch.randn(60, 3, generator=generator))
     assert breeding.distilled(rng, generator) == [], "one episode is not enough"
     breeding.show(shown, torch.randn(40, 3, generator=generator))
-    members = breeding.distilled(rng, generator)
-    assert [(one.origin, one.episodes) for one in members] == [("distilled", 0)] * 3
+    [member] = breeding.distilled(rng, generator)
+    assert (member.origin, member.episodes) == ("distilled", 0)
     seen = torch.randn(50, 3, generator=generator)
     expected = bind(shown[None])(seen[None])
     assert float(expected.std()) > 0.2
-    found = bind(torch.stack([one.genome for one in members]))(seen.expand(3, 50, 3))
+    found = bind(member.genome[None])(seen[None])
     assert float((found - expected).detach().abs().mean()) < 0.05
-    # Others of the same demonstrations, as often as one asks.
-    more = breeding.distilled(rng, generator)
-    assert not (more[0].genome == members[0].genome).all()
+
+
+@pytest.mark.parametrize(("shown", "groups"), [(2, 1), (3, 4), (4, 11), (5, 25)])
+def test_no_group_of_episodes_is_drawn_twice(breeding_of, shown, groups):
+    """Two to four of so many episodes: as many members as there are such groups."""
+    breeding = breeding_of(num_distilled=16, distillation_updates=1)
+    rng, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    for _ in range(shown):
+        breeding.show(breeding.first, torch.randn(5, 3, generator=generator))
+    members = sum(len(breeding.distilled(rng, generator)) for _ in range(40))
+    assert members == groups
+    # With another episode there are others.
+    breeding.show(breeding.first, torch.randn(5, 3, generator=generator))
+    assert breeding.distilled(rng, generator)
 
 
 def test_groups_of_demonstrations_differ(breeding_of, actor_of):
-    """Of six episodes three show the opposite: members differ in whom they follow."""
+    """Of eight episodes four show the opposite: members differ in whom they follow."""
     breeding = breeding_of(num_distilled=8, distillation_updates=300)
     generator = torch.Generator().manual_seed(0)
-    for slope in (1.0, -1.0) * 3:
+    for slope in (1.0, -1.0) * 4:
         shown = teacher(actor_of("tanh_normal"), slope)
         breeding.show(shown, torch.randn(40, 3, generator=generator))
     members = breeding.distilled(np.random.default_rng(0), generator)
     bind = greedy_actions_of(actor_of("tanh_normal"))
     seen = torch.linspace(-2, 2, 41)[:, None].expand(41, 3)
-    found = bind(torch.stack([one.genome for one in members]))(seen.expand(8, 41, 3))
+    genomes = torch.stack([one.genome for one in members])
+    found = bind(genomes)(seen.expand(len(members), 41, 3))
     slopes = (found[:, -1, 0] - found[:, 0, 0]).detach()
     assert float(slopes.max()) > 0.3
     assert float(slopes.min()) < -0.3
@@ -97,7 +109,7 @@ def test_groups_of_demonstrations_differ(breeding_of, actor_of):
 
 def test_the_number_of_distilled_members_is_at_most_that_of_all(breeding_of, actor_of):
     breeding = breeding_of(num_distilled=9, num_members=4, distillation_updates=2)
-    for _ in range(2):
+    for _ in range(10):
         breeding.show(teacher(actor_of("tanh_normal"), 1.0), torch.zeros(5, 3))
     members = breeding.distilled(np.random.default_rng(0), torch.Generator())
     assert len(members) == 4
