@@ -60,7 +60,10 @@ class RaceBreeding:
         with torch.no_grad():
             action = self._bind(stack_copies(genome, 1))(seen[None])[0]
         self._shown[self._num_shown] = Demonstration(seen, _PART_OF_ACTION * action)
-        self._shown.pop(self._num_shown - _MOST_DEMONSTRATIONS, None)
+        forgotten = self._num_shown - _MOST_DEMONSTRATIONS
+        self._shown.pop(forgotten, None)
+        # Numbers of a group ascend: no group with a forgotten episode can come again.
+        self._drawn = {group for group in self._drawn if group[0] > forgotten}
         self._num_shown += 1
 
     def new(self, count: int, generator: torch.Generator) -> list[Candidate]:
